@@ -1,0 +1,1 @@
+"""Everything that touches hardware: cameras, stages, panels; knows no image science."""

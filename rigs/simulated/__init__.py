@@ -1,0 +1,1 @@
+"""A physically independent simulated rig: lens, scene, sensor, DNG writer and devices."""

@@ -1,0 +1,1 @@
+"""Depth estimators: images and PSFs in, depth posteriors out; no files, no hardware."""
