@@ -1,0 +1,192 @@
+"""What every command shares: global options in any position, output to the right stream, errors to exit codes."""
+
+from __future__ import annotations
+
+import errno
+import functools
+import json
+import logging
+import math
+import sys
+import traceback
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeVar
+
+import click
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Table
+
+from calibration.errors import CalibrationError
+from rigs.errors import ConfigError, RigError
+from workbench.errors import CheckFailedError, InputError
+from workbench.project import Project, open_project
+from workbench.session import Step
+from workbench.units import length_mm, seconds_text
+
+EXIT_INTERNAL, EXIT_INPUT, EXIT_CHECK, EXIT_DEVICE, EXIT_INTERRUPTED = 1, 2, 3, 4, 130
+Command = TypeVar("Command", bound=Callable[..., Any])
+
+
+@dataclass(slots=True)
+class Context:
+    """Global options of one invocation."""
+
+    directory: Path = Path()
+    verbose: int = 0
+    json: bool = False
+
+    def project(self) -> Project:
+        """The project that -C names."""
+        return open_project(self.directory)
+
+    def path(self, text: str | Path) -> Path:
+        """A path given on the command line: relative to the current directory, as in every Unix tool."""
+        return Path(text)
+
+    @property
+    def console(self) -> Console:
+        """Where people read: stdout, or stderr when stdout belongs to a machine."""
+        return Console(stderr=self.json, soft_wrap=True, highlight=False)
+
+    def say(self, text: str = "") -> None:
+        """A line for people."""
+        self.console.print(text, markup=False)
+
+    def emit(self, value: Any) -> None:
+        """One JSON object on stdout (one line), only with --json."""
+        if self.json:
+            sys.stdout.write(json.dumps(json_ready(value), ensure_ascii=False, allow_nan=False) + "\n")
+            sys.stdout.flush()
+
+    def table(self, columns: Sequence[str], rows: Iterable[Sequence[object]], title: str | None = None) -> None:
+        """A table for people; the first column is left aligned, the others right."""
+        table = Table(title=title, title_justify="left", box=None, pad_edge=False, header_style="bold")
+        for index, name in enumerate(columns):
+            table.add_column(name, justify="left" if index == 0 else "right", no_wrap=True)
+        for row in rows:
+            table.add_row(*(str(cell) for cell in row))
+        self.console.print(table)
+
+    @contextmanager
+    def progress(self, title: str) -> Iterator[Callable[[Step], None]]:
+        """An observer for long work: a bar on a terminal, plain lines elsewhere; always on stderr."""
+        if not sys.stderr.isatty():
+            yield lambda step: print(_plain(title, step), file=sys.stderr, flush=True)
+            return
+        columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+        with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+            task = bar.add_task(title, total=None)
+
+            def update(step: Step) -> None:
+                bar.update(task, description=f"{title}: {step.message}", completed=step.done, total=step.total)
+
+            yield update
+
+
+def _plain(title: str, step: Step) -> str:
+    left = f", {seconds_text(step.seconds_left)} left" if step.seconds_left is not None else ""
+    return f"{title} {step.done}/{step.total}: {step.message}{left}"
+
+
+def json_ready(value: Any) -> Any:
+    """Replace what JSON can't hold: NaN and infinity by null, arrays and tuples by lists, paths by text."""
+    if hasattr(value, "tolist"):
+        value = value.tolist()
+    if isinstance(value, dict):
+        return {str(key): json_ready(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [json_ready(item) for item in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return str(value) if isinstance(value, Path) else value
+
+
+class LengthParam(click.ParamType[float]):
+    """A length with a unit; a bare number is centimetres. Value in millimetres."""
+
+    name = "length"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        """Parse one command line value."""
+        if isinstance(value, float):
+            return value
+        try:
+            return length_mm(value, default_unit="cm")
+        except InputError as error:
+            self.fail(str(error), param, ctx)
+
+
+LENGTH = LengthParam()
+
+
+def command_options(function: Command) -> Command:
+    """Accept the global options after the command's name too, and hand the command a :class:`Context`."""
+
+    @click.option("-C", "directory", type=click.Path(path_type=Path), default=None, help="Project directory.")
+    @click.option("-v", "--verbose", count=True, help="Say more; twice for debugging.")
+    @click.option("--json", "as_json", is_flag=True, help="Machine output on stdout, all else on stderr.")
+    @click.pass_context
+    @functools.wraps(function)
+    def wrapper(
+        ctx: click.Context, *args: Any, directory: Path | None, verbose: int, as_json: bool, **kwargs: Any
+    ) -> Any:
+        context = ctx.find_object(Context) or Context()
+        if directory is not None:
+            context.directory = directory
+        context.verbose += verbose
+        context.json = context.json or as_json
+        _set_up_logging(context.verbose)
+        return function(context, *args, **kwargs)
+
+    return wrapper  # type: ignore[return-value]
+
+
+def _set_up_logging(verbose: int) -> None:
+    level = {0: logging.WARNING, 1: logging.INFO}.get(verbose, logging.DEBUG)
+    logging.basicConfig(level=logging.WARNING, format="%(name)s: %(message)s", stream=sys.stderr, force=True)
+    for name in ("workbench", "calibration", "rigs"):
+        logging.getLogger(name).setLevel(level)
+
+
+def run(group: click.Group, argv: Sequence[str] | None = None) -> int:
+    """Run the command line; every expected error is one line and an exit code."""
+    try:
+        result = group.main(args=list(argv) if argv is not None else None, standalone_mode=False)
+        return result if isinstance(result, int) else 0
+    except click.exceptions.Exit as leave:
+        return leave.exit_code
+    except click.UsageError as error:
+        hint = f" (see `{error.ctx.command_path} --help`)" if error.ctx else ""
+        return _fail(f"{error.format_message()}{hint}", EXIT_INPUT)
+    except (KeyboardInterrupt, click.Abort):
+        return _fail("interrupted; `workbench resume` goes on where a calibration stopped", EXIT_INTERRUPTED)
+    except (InputError, CalibrationError, ConfigError, click.ClickException) as error:
+        return _fail(error.format_message() if isinstance(error, click.ClickException) else str(error), EXIT_INPUT)
+    except CheckFailedError as error:
+        return _fail(str(error), EXIT_CHECK)
+    except RigError as error:
+        return _fail(str(error), EXIT_DEVICE)
+    except BrokenPipeError:
+        return 0
+    except OSError as error:
+        if error.errno in (errno.ENOSPC, errno.EDQUOT):
+            return _fail(f"{error.filename or 'disk'}: the disk is full; free some space and run again", EXIT_INPUT)
+        if error.errno in (errno.EACCES, errno.EROFS, errno.EPERM, errno.ENOENT, errno.ENOTDIR, errno.EISDIR):
+            return _fail(f"{error.filename}: {(error.strerror or 'not accessible').lower()}", EXIT_INPUT)
+        return _internal(error)
+    except Exception as error:
+        return _internal(error)
+
+
+def _fail(message: str, code: int) -> int:
+    print(f"workbench: {' '.join(message.split())}", file=sys.stderr)
+    return code
+
+
+def _internal(error: Exception) -> int:
+    traceback.print_exception(error, file=sys.stderr)
+    return _fail(f"internal error, please report it: {type(error).__name__}: {error}", EXIT_INTERNAL)

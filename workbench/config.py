@@ -1,0 +1,209 @@
+"""rig.yaml as validated models. Every length carries a unit; a misspelt key is an error that names the nearest."""
+
+from __future__ import annotations
+
+import difflib
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import yaml
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
+
+from workbench.errors import InputError
+from workbench.units import duration_s, length_mm
+
+
+def _length(value: object) -> float:
+    try:
+        return length_mm(value)
+    except InputError as error:
+        raise ValueError(str(error)) from None
+
+
+def _duration(value: object) -> float:
+    try:
+        return duration_s(value, default_unit="s")
+    except InputError as error:
+        raise ValueError(str(error)) from None
+
+
+Length = Annotated[float, BeforeValidator(_length)]
+"""Written with a unit (``60 cm``), held in millimetres."""
+Duration = Annotated[float, BeforeValidator(_duration)]
+"""Written with or without ``s``, held in seconds."""
+
+
+class Section(BaseModel):
+    """A part of rig.yaml: immutable, and strict about its keys."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", populate_by_name=True, strict=False)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _known_keys_only(cls, data: Any) -> Any:
+        if isinstance(data, dict):
+            known = [field.alias or name for name, field in cls.model_fields.items()]
+            names = set(known) | set(cls.model_fields)
+            for key in data:
+                if key not in names:
+                    near = difflib.get_close_matches(str(key), known, n=1, cutoff=0.5)
+                    hint = f"did you mean {near[0]!r}?" if near else f"known are {', '.join(known)}"
+                    raise ValueError(f"unknown key {str(key)!r}: {hint}")
+        return data
+
+
+class OpticsConfig(Section):
+    """What is known of the lens beforehand; the lens fit measures the rest."""
+
+    focal_length_mm: Length = Field(50.0, alias="focal_length")
+    aperture_radius_mm: Length = Field(7.0, alias="aperture_radius")
+    """Radius of the circle about the mask's opening."""
+    focus_mm: Length | None = Field(None, alias="focus")
+    """Distance set on the lens, if known; only starting value and plausibility check of the fit."""
+
+
+class CameraConfig(Section):
+    """The camera and how its RAW files are developed."""
+
+    kind: Literal["simulated", "gphoto2"] = "simulated"
+    pixel_pitch_mm: Length | None = Field(None, alias="pixel_pitch")
+    """Photosite pitch; needed where the RAW files don't state it."""
+    recipe: Literal["superpixel", "native"] = "superpixel"
+    iso: int = Field(100, ge=25, le=409600)
+    model: str = ""
+    serial: str = ""
+    port: str = ""
+    capture_target: Literal["card", "memory"] = "card"
+    timeout_s: Duration = Field(60.0, alias="timeout", gt=0)
+    restart_every: int = Field(0, ge=0)
+    """Restart the camera process after so many captures; 0 never."""
+    environment: dict[str, str] = {}
+    """Environment variables of the camera process."""
+
+
+class DepthConfig(Section):
+    """depth = offset + sign * scale * position (see :class:`rigs.rig.DepthAxis`)."""
+
+    offset_mm: Length = Field(0.0, alias="offset")
+    sign: Literal[-1, 1] = 1
+    scale: float = Field(1.0, gt=0)
+
+
+class StageConfig(Section):
+    """The stage and how its coordinate becomes depth."""
+
+    kind: Literal["simulated", "grbl", "zaber", "manual"] = "simulated"
+    port: str = ""
+    """Path, ``usb:VID:PID[:SERIAL]`` or a pyserial URL."""
+    baud_rate: int = Field(115200, gt=0)
+    depth: DepthConfig = DepthConfig()
+    speed_mm_s: float | None = Field(None, gt=0, alias="speed")
+    """Highest speed in mm/s; none: the controller's own limit."""
+    axis: str = "X"
+    """Axis letter (GRBL) or number (Zaber)."""
+    device: int = Field(1, ge=1, le=99)
+    """Zaber device address."""
+    microstep_mm: Length | None = Field(None, alias="microstep")
+    """Zaber: travel per microstep."""
+    allow_without_homing: bool = False
+    allow_without_soft_limits: bool = False
+    limits_mm: tuple[Length, Length] | None = Field(None, alias="limits")
+    """Manual stage: nearest and farthest position."""
+
+
+class DotConfig(Section):
+    """The point source on the panel."""
+
+    size_px: float | Literal["auto"] = Field("auto", alias="size")
+    """Diameter in panel pixels; auto: as large as its image may be without widening the PSF."""
+    colour: str = Field("#ffffff", pattern=r"^#[0-9a-fA-F]{6}$")
+
+
+class PanelConfig(Section):
+    """The display on the carriage."""
+
+    kind: Literal["simulated", "browser"] = "simulated"
+    pixel_pitch_mm: Length = Field(0.1, alias="pixel_pitch", gt=0)
+    dot: DotConfig = DotConfig()
+    host: str = "127.0.0.1"
+    port: int = Field(8650, ge=0, le=65535)
+    token: str = ""
+    ack_timeout_s: Duration = Field(5.0, alias="ack_timeout", gt=0)
+    require_fullscreen: bool = True
+
+
+class CalibrationConfig(Section):
+    """Defaults of ``workbench calibrate``."""
+
+    from_mm: Length = Field(600.0, alias="from", gt=0)
+    to_mm: Length = Field(3500.0, alias="to", gt=0)
+    step_mm: Length = Field(100.0, alias="step", gt=0)
+    repeats: int = Field(2, ge=1, le=100)
+    off_frames: int = Field(1, ge=1, le=20)
+    """Panel-off frames per depth; subtracted from the point frames."""
+    target_level: float = Field(0.7, gt=0.05, lt=0.95)
+    """Brightest pixel aimed at, fraction of white."""
+    field: tuple[int, int] = (1, 1)
+    """Points across and down the panel; (1, 1) is one central point."""
+
+
+class SimulationConfig(Section):
+    """The simulated rig's truth; used by the devices whose kind is ``simulated``."""
+
+    preset: Literal["small", "eos650d"] = "small"
+    seed: int = Field(1, ge=0)
+    scene: str = "four-objects"
+    focus_mm: Length = Field(1600.0, alias="focus", gt=0)
+    stage_zero_mm: Length = Field(7.0, alias="stage_zero")
+    """True minus nominal depth; calibration has to find it."""
+    stage_repeatability_mm: Length = Field(0.05, alias="stage_repeatability", ge=0)
+    ambient: float = Field(0.0005, ge=0, le=1)
+    vignetting: float = Field(0.0, ge=0, le=1)
+    coma: float = Field(0.0, ge=-1, le=1)
+    focus_breathing: float = Field(0.0, ge=-1, le=1)
+
+
+class RigConfig(Section):
+    """The whole of rig.yaml."""
+
+    optics: OpticsConfig = OpticsConfig()
+    camera: CameraConfig = CameraConfig()
+    stage: StageConfig = StageConfig()
+    panel: PanelConfig = PanelConfig()
+    calibration: CalibrationConfig = CalibrationConfig()
+    simulation: SimulationConfig = SimulationConfig()
+
+
+def load_rig_config(path: Path) -> RigConfig:
+    """Read and check rig.yaml.
+
+    Raises
+    ------
+    InputError
+        Unreadable, not YAML, or a key, type, unit or value is wrong; names file, key and the way out.
+    """
+    try:
+        data = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: can't be read ({error})") from None
+    except yaml.YAMLError as error:
+        mark = getattr(error, "problem_mark", None)
+        where = f" line {mark.line + 1}" if mark else ""
+        raise InputError(f"{path}{where}: not valid YAML ({getattr(error, 'problem', error)})") from None
+    if data is None:
+        data = {}
+    if not isinstance(data, dict):
+        raise InputError(f"{path}: expected sections such as camera:, stage:, panel:, found {type(data).__name__}")
+    try:
+        return RigConfig.model_validate(data)
+    except ValidationError as error:
+        raise InputError(f"{path}: {_first_problem(error)}") from None
+
+
+def _first_problem(error: ValidationError) -> str:
+    problem = error.errors()[0]
+    key = ".".join(str(part) for part in problem["loc"])
+    message = problem["msg"].removeprefix("Value error, ")
+    if problem["type"] != "value_error":
+        message = f"{message[0].lower()}{message[1:]} (found {problem['input']!r})"
+    return f"{key}: {message}" if key else message
