@@ -7,9 +7,9 @@
        Ctrl-C / error     v  | resume (verified shots are skipped)
                    interrupted / failed
 
-At each depth: move and confirm, meter (once per depth, unless the journal has it), then every shot: pattern painted and
-acknowledged, exposure, frame checked, record appended. A shot counts when its record is on disk. Whatever ends a session
-early, the stage is stopped first.
+At each depth: move and confirm, meter (once per depth, unless the journal has it), then every shot: pattern painted
+and acknowledged, exposure, frame checked, record appended. A shot counts when its record is on disk. Whatever ends a
+session early, the stage is stopped first.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator
 from contextlib import suppress
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from itertools import groupby
 from pathlib import Path
 from typing import Any
@@ -30,23 +30,13 @@ from workbench.files import sha256_file, write_json
 from workbench.journal import Journal, SessionState, verified_shots
 from workbench.metering import meter
 from workbench.plan import PatternSpec, Plan, Shot
+from workbench.progress import Observer, Step
 from workbench.units import cm, exposure_text
 
 TRIES_PER_SHOT = 3
 """A frame that doesn't arrive or a pattern that isn't acknowledged is tried again so often, each try journaled."""
 
 
-@dataclass(frozen=True, slots=True)
-class Step:
-    """What a session tells its observer."""
-
-    message: str
-    done: int
-    total: int
-    seconds_left: float | None
-
-
-Observer = Callable[[Step], None]
 FrameCheck = Callable[[Path], None]
 """Raises if a frame just arrived can't be a good RAW file."""
 

@@ -23,8 +23,8 @@ from rich.table import Table
 from calibration.errors import CalibrationError
 from rigs.errors import ConfigError, RigError
 from workbench.errors import CheckFailedError, InputError
+from workbench.progress import Step
 from workbench.project import Project, open_project
-from workbench.session import Step
 from workbench.units import length_mm, seconds_text
 
 EXIT_INTERNAL, EXIT_INPUT, EXIT_CHECK, EXIT_DEVICE, EXIT_INTERRUPTED = 1, 2, 3, 4, 130
@@ -129,12 +129,9 @@ def command_options(function: Command) -> Command:
     @click.option("-C", "directory", type=click.Path(path_type=Path), default=None, help="Project directory.")
     @click.option("-v", "--verbose", count=True, help="Say more; twice for debugging.")
     @click.option("--json", "as_json", is_flag=True, help="Machine output on stdout, all else on stderr.")
-    @click.pass_context
     @functools.wraps(function)
-    def wrapper(
-        ctx: click.Context, *args: Any, directory: Path | None, verbose: int, as_json: bool, **kwargs: Any
-    ) -> Any:
-        context = ctx.find_object(Context) or Context()
+    def wrapper(*args: Any, directory: Path | None, verbose: int, as_json: bool, **kwargs: Any) -> Any:
+        context = click.get_current_context().find_object(Context) or Context()
         if directory is not None:
             context.directory = directory
         context.verbose += verbose

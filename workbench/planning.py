@@ -1,0 +1,82 @@
+"""From rig.yaml and the command line's wishes to a plan, and what it will cost."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from workbench.config import RigConfig
+from workbench.plan import PatternSpec, Plan, depth_grid_mm
+
+FRAME_BYTES_PER_PHOTOSITE = 1.2
+"""A losslessly compressed 14-bit RAW file takes about this much."""
+METER_SHOTS_PER_DEPTH = 2.5
+SECONDS_PER_SHOT = {"simulated": 0.25, "gphoto2": 4.0}
+"""Readout, download and check of one frame, without its exposure; only for the estimate."""
+SECONDS_PER_MOVE = {"simulated": 0.0, "grbl": 3.0, "zaber": 4.0, "manual": 30.0}
+
+
+@dataclass(frozen=True, slots=True)
+class PlanCost:
+    """What a plan will take, before it is started."""
+
+    shots: int
+    seconds: float
+    bytes: float
+
+
+def dot_size_px(config: RigConfig, depth_mm: float) -> float:
+    """Diameter of the dot in panel pixels: as large as its image may be (half a developed pixel), at least one."""
+    if config.panel.dot.size_px != "auto":
+        return config.panel.dot.size_px
+    photosite = config.camera.pixel_pitch_mm or 0.0043
+    developed = photosite * (2 if config.camera.recipe == "superpixel" else 1)
+    image_of_pixel = config.panel.pixel_pitch_mm * config.optics.focal_length_mm / depth_mm
+    return float(max(1, math.floor(0.5 * developed / image_of_pixel)))
+
+
+def make_plan(
+    config: RigConfig,
+    *,
+    from_mm: float | None = None,
+    to_mm: float | None = None,
+    step_mm: float | None = None,
+    repeats: int | None = None,
+) -> Plan:
+    """Plan of a calibration; what isn't given comes from rig.yaml.
+
+    Raises
+    ------
+    InputError
+        The depths can't be (see :func:`workbench.plan.depth_grid_mm`).
+    """
+    wishes = config.calibration
+    depths = depth_grid_mm(
+        wishes.from_mm if from_mm is None else from_mm,
+        wishes.to_mm if to_mm is None else to_mm,
+        wishes.step_mm if step_mm is None else step_mm,
+    )
+    return Plan(
+        depths_mm=depths,
+        repeats=wishes.repeats if repeats is None else repeats,
+        off_frames=wishes.off_frames,
+        dots=tuple(_dot(config, depth) for depth in depths),
+        target_level=wishes.target_level,
+        iso=config.camera.iso,
+    )
+
+
+def _dot(config: RigConfig, depth_mm: float) -> PatternSpec:
+    return PatternSpec(kind="dot", size_px=dot_size_px(config, depth_mm), colour=config.panel.dot.colour)
+
+
+def cost(plan: Plan, config: RigConfig) -> PlanCost:
+    """Shots, time and bytes of a plan (an estimate: exposures are metered on the rig)."""
+    shots = sum(1 for _ in plan.shots())
+    frames = shots + METER_SHOTS_PER_DEPTH * len(plan.depths_mm)
+    photosites = (
+        5184 * 3456 if config.camera.kind != "simulated" or config.simulation.preset == "eos650d" else 1536 * 1024
+    )
+    seconds = frames * SECONDS_PER_SHOT[config.camera.kind] * max(photosites / 18e6, 0.3)
+    seconds += len(plan.depths_mm) * SECONDS_PER_MOVE[config.stage.kind]
+    return PlanCost(shots, seconds, frames * photosites * FRAME_BYTES_PER_PHOTOSITE)
