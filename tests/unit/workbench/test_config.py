@@ -1,0 +1,55 @@
+from pathlib import Path
+
+import pytest
+
+from workbench.config import load_rig_config
+from workbench.errors import InputError
+from workbench.project import create_project, open_project
+
+
+def _write(tmp_path: Path, text: str) -> Path:
+    path = tmp_path / "rig.yaml"
+    path.write_text(text)
+    return path
+
+
+def test_the_template_is_valid_and_means_what_it_says(tmp_path: Path) -> None:
+    config = create_project(tmp_path / "p", preset="eos650d", seed=7).config()
+    assert config.simulation.preset == "eos650d"
+    assert config.simulation.seed == 7
+    assert config.camera.pixel_pitch_mm == pytest.approx(0.0043)
+    assert (config.calibration.from_mm, config.calibration.to_mm, config.calibration.step_mm) == (600, 3500, 100)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("stage: {baud_rat: 9600}", ("stage", "'baud_rat'", "'baud_rate'")),
+        ("camra: {}", ("'camra'", "'camera'")),
+        ("calibration: {from: 60}", ("calibration.from", "no unit", "60cm")),
+        ("calibration: {from: 60 s}", ("calibration.from", "'s'", "unit")),
+        ("calibration: {repeats: many}", ("calibration.repeats", "integer", "'many'")),
+        ("camera: {kind: film}", ("camera.kind", "'film'")),
+        ("stage: {depth: {sign: 2}}", ("stage.depth.sign",)),
+        ("[1, 2]", ("rig.yaml", "list")),
+        ("a: [", ("rig.yaml", "YAML")),
+    ],
+)
+def test_a_wrong_key_type_or_unit_is_named(tmp_path: Path, text: str, words: tuple[str, ...]) -> None:
+    with pytest.raises(InputError) as caught:
+        load_rig_config(_write(tmp_path, text))
+    for word in words:
+        assert word in str(caught.value)
+
+
+def test_a_directory_without_rig_yaml_is_no_project(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="workbench init"):
+        open_project(tmp_path)
+    with pytest.raises(InputError, match="no such directory"):
+        open_project(tmp_path / "nowhere")
+
+
+def test_init_never_overwrites_a_project(tmp_path: Path) -> None:
+    create_project(tmp_path)
+    with pytest.raises(InputError, match="already"):
+        create_project(tmp_path)
