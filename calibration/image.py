@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -30,7 +30,13 @@ class FrameInfo:
     focal_length_mm: float | None = None
     f_number: float | None = None
     pixel_pitch_mm: float | None = None
-    """Photosite pitch if the file states it (FocalPlaneXResolution)."""
+    """Photosite pitch of the known camera, or as the file states it (FocalPlaneXResolution)."""
+    dark: str = ""
+    """How a dark frame was subtracted: ``pixelwise``, ``median level`` (dark of another size), or '' for none."""
+
+    def with_dark(self, how: str) -> FrameInfo:
+        """The same facts after a dark frame was subtracted in this way."""
+        return replace(self, dark=how)
 
 
 @dataclass(frozen=True, slots=True)

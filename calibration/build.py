@@ -1,0 +1,383 @@
+"""Frames of points -> a bank. Used alike for frames from a session and for files taken elsewhere.
+
+One frame is in memory at a time: it is developed, its points are cut out, and it is let go.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from importlib import metadata
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calibration.bank import Bank
+from calibration.errors import DepthListError, FrameError, PointError
+from calibration.exif import known_camera
+from calibration.image import FrameInfo, LinearImage, Recipe
+from calibration.lens_fit import LensFit, aperture_radius_mm, check_depths, fit_lens
+from calibration.points import PointImage, PointOptions, find_points
+from calibration.psf import (
+    Plane,
+    Stacked,
+    common_fraction,
+    disc_variance,
+    dot_radius_px,
+    half_size,
+    place,
+    stack_repeats,
+    undo_dot,
+)
+from calibration.quality import Quality, judge
+from calibration.raw import average_darks, develop, subtract_dark
+from calibration.template import Spot, TemplateFit, fit_spots
+
+FloatArray = NDArray[np.float64]
+Source = Path | LinearImage
+
+
+@dataclass(frozen=True, slots=True)
+class PointFrame:
+    """All exposures of the panel's point (or grid of points) at one nominal depth."""
+
+    depth_nominal_mm: float
+    sources: tuple[Source, ...]
+    """Files, or images developed already; several are repeats."""
+    dot_mm: float = 0.0
+    """Diameter of the dot on the panel; 0 where unknown or negligible."""
+
+
+@dataclass(frozen=True, slots=True)
+class BuildOptions:
+    """How a bank is made; goes into its provenance."""
+
+    recipe: Recipe = "superpixel"
+    pixel_pitch_mm: float | None = None
+    """Photosite pitch (RAW) or pixel pitch (linear files); default: what the files say."""
+    focal_length_mm: float | None = None
+    """Default: what the files say."""
+    expected_points: int = 1
+    apply_zero: bool = False
+    """Whether the fitted stage zero is added to the depths (own rig) or only reported (files taken elsewhere)."""
+    on_bad: Literal["raise", "skip"] = "raise"
+    """What a frame without a usable point does: stop, or be left out and named."""
+    point: PointOptions = field(default_factory=PointOptions)
+    sensor_size: tuple[int, int] | None = None
+    """Photosites (height, width) of the whole sensor, where known; then scenes of another size are refused."""
+    camera: Mapping[str, str] = field(default_factory=dict)
+    """Identity beyond what the files say: serial number, lens, firmware."""
+    settings: Mapping[str, str] = field(default_factory=dict)
+    plan_sha256: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Rejected:
+    """A frame that was left out."""
+
+    path: str
+    depth_nominal_mm: float
+    reason: str
+    message: str
+
+
+@dataclass(frozen=True, slots=True)
+class BuiltBank:
+    """Result of :func:`build_bank`."""
+
+    bank: Bank
+    quality: Quality
+    rejected: tuple[Rejected, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class _Field:
+    """Everything measured at one field position, by ascending depth."""
+
+    stacks: tuple[Stacked, ...]
+    fit: TemplateFit
+    lens: LensFit
+    chief_yx: FloatArray
+    dot_radius: FloatArray
+
+
+def build_bank(
+    frames: Sequence[PointFrame], darks: Sequence[Source] = (), options: BuildOptions | None = None
+) -> BuiltBank:
+    """Make a bank from frames of points.
+
+    Parameters
+    ----------
+    frames
+        One entry per depth, any order, at least three depths.
+    darks
+        Frames with the panel off or the cap on; those of the frames' size are averaged and subtracted pixel by pixel,
+        of another size as a level.
+    options
+        How; the defaults suit files taken elsewhere.
+
+    Raises
+    ------
+    DepthListError, FrameError, PointError, FitError
+        Bad input; with ``on_bad='skip'`` a PointError only leaves its frame out, as long as three depths remain.
+    """
+    options = options or BuildOptions()
+    frames = sorted(frames, key=lambda frame: frame.depth_nominal_mm)
+    check_depths([frame.depth_nominal_mm for frame in frames])
+    dark_by_shape = _average_darks(darks, options)
+    measured: list[tuple[PointFrame, list[list[PointImage]]]] = []
+    rejected: list[Rejected] = []
+    infos: list[tuple[float, FrameInfo]] = []
+    pitch: float | None = None
+    for frame in frames:
+        repeats: list[list[PointImage]] = []
+        for image in _developed(frame.sources, dark_by_shape, options):
+            infos.append((frame.depth_nominal_mm, image.info))
+            pitch = _same_camera(infos, pitch, image)
+            try:
+                repeats.append(find_points(image, expected=options.expected_points, options=options.point))
+            except PointError as error:
+                if options.on_bad == "raise":
+                    raise
+                rejected.append(Rejected(image.info.path, frame.depth_nominal_mm, error.reason, str(error)))
+        if repeats:
+            measured.append((frame, repeats))
+    if len(measured) < 3:
+        reasons = "; ".join(sorted({r.reason for r in rejected}))
+        raise DepthListError(f"only {len(measured)} depths show a usable point ({reasons}); a bank needs at least 3")
+    measured = _pool_noise_gain(measured)
+    nominal = np.array([frame.depth_nominal_mm for frame, _ in measured])
+    focal = options.focal_length_mm or infos[0][1].focal_length_mm
+    tracks = _tracks([repeats for _, repeats in measured], options.expected_points)
+    dots = np.array([frame.dot_mm for frame, _ in measured])
+    fields = [_measure_field(track, nominal, dots, focal, pitch, options) for track in tracks]
+    return _assemble(fields, nominal, infos, rejected, pitch, focal, options)
+
+
+def _developed(
+    sources: Iterable[Source], darks: Mapping[tuple[int, ...], LinearImage], options: BuildOptions
+) -> Iterable[LinearImage]:
+    for source in sources:
+        if isinstance(source, LinearImage):
+            image = source
+        else:
+            image = develop(source, recipe=options.recipe, pixel_pitch_mm=options.pixel_pitch_mm)
+        if darks:
+            image = subtract_dark(image, darks.get(image.planes.shape) or next(iter(darks.values())))
+        yield image
+
+
+def _average_darks(darks: Sequence[Source], options: BuildOptions) -> dict[tuple[int, ...], LinearImage]:
+    groups: dict[tuple[int, ...], list[LinearImage]] = {}
+    for image in _developed(darks, {}, options):
+        groups.setdefault(image.planes.shape, []).append(image)
+    return {shape: average_darks(group) for shape, group in groups.items()}
+
+
+def _same_camera(infos: list[tuple[float, FrameInfo]], pitch: float | None, image: LinearImage) -> float | None:
+    """Refuse a frame of another camera than the first; returns the pitch."""
+    first, this = infos[0][1], image.info
+    if (first.model, first.cfa) != (this.model, this.cfa):
+        raise FrameError(
+            f"{this.path}: taken with {this.model or 'an unnamed camera'} {this.cfa}, but {first.path} with "
+            f"{first.model or 'an unnamed camera'} {first.cfa}; keep frames of one camera"
+        )
+    return pitch or image.pixel_pitch_mm
+
+
+def _pool_noise_gain(
+    measured: list[tuple[PointFrame, list[list[PointImage]]]],
+) -> list[tuple[PointFrame, list[list[PointImage]]]]:
+    """Give every cut-out the noise gain of all frames of its ISO: a few pixels near focus can't tell their own."""
+    by_iso: dict[float | None, list[tuple[float, int]]] = {}
+    for _, repeats in measured:
+        for point in (p for points in repeats for p in points):
+            by_iso.setdefault(point.info.iso, []).append((point.noise_gain, int(point.support.sum())))
+    gains: dict[float | None, float] = {}
+    for iso, values in by_iso.items():
+        wide = [gain for gain, pixels in values if pixels >= 60] or [gain for gain, _ in values]
+        gains[iso] = float(np.median(wide))
+
+    def pooled(p: PointImage) -> PointImage:
+        gain = gains[p.info.iso]
+        variance = p.noise**2 + gain * np.maximum(p.values, 0.0)
+        return replace(
+            p, noise_gain=gain, variance=variance, flux_snr=p.flux / float(np.sqrt(variance[p.support].sum()))
+        )
+
+    return [(frame, [[pooled(p) for p in points] for points in repeats]) for frame, repeats in measured]
+
+
+def _tracks(by_depth: list[list[list[PointImage]]], count: int) -> list[list[list[PointImage]]]:
+    """Follow each point of the grid through depths and repeats: result[field][depth] is a list of repeats.
+
+    The grid's picture grows and shrinks with depth, so positions are compared after removing their mean and spread.
+    """
+    if count == 1:
+        return [[[points[0] for points in repeats] for repeats in by_depth]]
+    reference = _normalised(by_depth[len(by_depth) // 2][0])
+    tracks: list[list[list[PointImage]]] = [[] for _ in range(count)]
+    for repeats in by_depth:
+        for track in tracks:
+            track.append([])
+        for points in repeats:
+            here = _normalised(points)
+            distance = np.hypot(*(reference[:, np.newaxis] - here[np.newaxis]).transpose(2, 0, 1))
+            nearest = distance.argmin(axis=1)
+            if len(set(nearest.tolist())) != count:
+                raise PointError(
+                    "missing", f"{points[0].info.path}: its points don't form the same grid as the other depths'"
+                )
+            for k, index in enumerate(nearest):
+                tracks[k][-1].append(points[int(index)])
+    return tracks
+
+
+def _normalised(points: list[PointImage]) -> FloatArray:
+    centres = np.array([np.add(p.corner_yx, np.array(p.values.shape) / 2.0) for p in points])
+    centres -= centres.mean(axis=0)
+    return np.asarray(centres / np.sqrt((centres**2).sum(axis=1).mean()), np.float64)
+
+
+def _measure_field(
+    track: list[list[PointImage]],
+    nominal: FloatArray,
+    dots_mm: FloatArray,
+    focal_mm: float | None,
+    pitch_mm: float | None,
+    options: BuildOptions,
+) -> _Field:
+    stacks = tuple(stack_repeats(repeats) for repeats in track)
+    dot_radius = np.zeros(nominal.size)
+    for attempt in range(2):
+        spots = [
+            Spot(s.point.values, np.sqrt(s.point.variance), disc_variance(r))
+            for s, r in zip(stacks, dot_radius, strict=True)
+        ]
+        fit = fit_spots(spots, 1.0 / nominal)
+        radius = np.array([s.radius_px for s in fit.spots])
+        lens = fit_lens(nominal, radius, np.array([s.radius_se_px for s in fit.spots]), apply_zero=options.apply_zero)
+        if attempt or not dots_mm.any() or not focal_mm or not pitch_mm:
+            break
+        image_distance = focal_mm * lens.focus_mm / (lens.focus_mm - focal_mm)
+        dot_radius = np.array(
+            [
+                dot_radius_px(d, z, image_distance_mm=image_distance, pitch_mm=pitch_mm)
+                for d, z in zip(dots_mm, nominal, strict=True)
+            ]
+        )
+        if dot_radius.max() < 0.1:
+            break
+    chief = np.array(
+        [
+            (s.point.corner_yx[0] + f.centre_y, s.point.corner_yx[1] + f.centre_x)
+            for s, f in zip(stacks, fit.spots, strict=True)
+        ]
+    )
+    return _Field(stacks, fit, lens, chief, dot_radius)
+
+
+def _assemble(
+    fields: list[_Field],
+    nominal: FloatArray,
+    infos: list[tuple[float, FrameInfo]],
+    rejected: list[Rejected],
+    pitch: float | None,
+    focal: float | None,
+    options: BuildOptions,
+) -> BuiltBank:
+    centres = [np.round(f.chief_yx - common_fraction(f.chief_yx)).astype(int) for f in fields]
+    half = 1 + max(
+        half_size(s.point, (int(c[0]), int(c[1])))
+        for f, cs in zip(fields, centres, strict=True)
+        for s, c in zip(f.stacks, cs, strict=True)
+    )
+    planes: list[list[Plane]] = []
+    for f, cs in zip(fields, centres, strict=True):
+        row = []
+        for stacked, chief, c, dot in zip(f.stacks, f.chief_yx, cs, f.dot_radius, strict=True):
+            plane = place(stacked.point, (float(chief[0]), float(chief[1])), (int(c[0]), int(c[1])), half)
+            row.append(undo_dot(plane, float(dot)))
+        planes.append(row)
+    frame_shape = np.array(fields[0].stacks[0].point.frame_shape)
+    middle = (frame_shape - 1) / 2.0
+    field_yx = np.array([(f.chief_yx.mean(axis=0) - middle) / (frame_shape / 2.0) for f in fields])
+    central = int(np.argmin(np.hypot(*field_yx.T)))
+    lens = fields[central].lens
+    zero = lens.zero_mm if lens.zero_applied else 0.0
+    quality = judge(
+        nominal_mm=nominal,
+        lens=lens,
+        spots=fields[central].fit.spots,
+        stacks=fields[central].stacks,
+        psf=np.stack([p.psf for p in planes[central]]),
+        psf_se=np.stack([p.se for p in planes[central]]),
+    )
+    size = options.sensor_size or _known_size(infos[0][1])
+    manifest: dict[str, Any] = {
+        "kind": "measured",
+        "software": metadata.version("depth-workbench"),
+        "nominal_depths_mm": nominal.tolist(),
+        "camera": {
+            **options.camera,
+            "make": infos[0][1].make,
+            "model": infos[0][1].model,
+            "cfa": infos[0][1].cfa,
+            "focal_length_mm": focal,
+            "f_number": infos[0][1].f_number,
+            "raw_sizes": sorted({info.raw_size for _, info in infos if info.raw_size}),
+            "sensor_size": list(size) if size else None,
+        },
+        "aperture": {
+            "radius_mm": aperture_radius_mm(lens, focal_length_mm=focal, pixel_pitch_mm=pitch)
+            if focal and pitch
+            else None,
+            "core_px": [f.fit.core_px for f in fields],
+        },
+        "dot_radius_px": fields[central].dot_radius.tolist(),
+        "frames": [
+            {
+                "name": Path(info.path).name,
+                "sha256": info.sha256,
+                "depth_nominal_mm": depth,
+                "exposure_s": info.exposure_s,
+                "iso": info.iso,
+                "dark": info.dark,
+            }
+            for depth, info in infos
+        ],
+        "rejected": [
+            {"name": Path(r.path).name, "depth_nominal_mm": r.depth_nominal_mm, "reason": r.reason} for r in rejected
+        ],
+        "settings": dict(options.settings),
+        "plan_sha256": options.plan_sha256,
+        "quality": quality.as_dict(),
+    }
+    manifest["camera"]["raw_sizes"] = [list(s) for s in manifest["camera"]["raw_sizes"]]
+    bank = Bank(
+        depths_mm=nominal + zero,
+        psf=np.array([[p.psf for p in row] for row in planes], np.float32),
+        psf_se=np.array([[p.se for p in row] for row in planes], np.float32),
+        field_yx=field_yx,
+        lens=lens,
+        recipe=options.recipe if infos[0][1].raw_size else "linear",
+        pixel_pitch_mm=pitch,
+        manifest=manifest,
+        extras={
+            "chief_yx": np.array([[p.offset_yx for p in row] for row in planes]),
+            "field_radius_px": np.array([f.lens.radius_px for f in fields]),
+            "aperture": fields[central].fit.template.astype(np.float32),
+        },
+    )
+    return BuiltBank(bank, quality, tuple(rejected))
+
+
+def _known_size(info: FrameInfo) -> tuple[int, int] | None:
+    """Size of a whole frame of a known camera, where this frame is one (within 2 %), so that crops are told apart."""
+    facts = known_camera(info.make, info.model)
+    if facts is None or info.raw_size is None:
+        return None
+    whole = all(abs(a / b - 1.0) < 0.02 for a, b in zip(info.raw_size, facts.full_frame, strict=True))
+    return info.raw_size if whole else None
