@@ -148,7 +148,7 @@ class Deconvolver:
         return PreparedImage(clean, self._transform(clean))
 
     def kernel(self, psf: NDArray[np.floating]) -> Kernel:
-        """OTF and weights of a PSF (K, K'): odd sides, origin at the centre pixel; negative noise is cut, the sum made 1.
+        """OTF and weights of a PSF (K, K'): odd sides, origin at the centre; negative noise is cut, the sum made 1.
 
         Raises
         ------
