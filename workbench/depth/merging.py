@@ -38,7 +38,7 @@ def merge_regions(levels: NDArray[np.uint8], q: float) -> NDArray[np.int32]:
     """
     height, width, channels = levels.shape
     pixels = np.ascontiguousarray(levels).reshape(-1, channels)
-    first, down = _sorted_pairs(pixels, height, width)
+    first, down = _sorted_pairs(pixels.astype(np.int16), height, width)
     parent = np.arange(len(pixels), dtype=np.int32)
     _merge(pixels.astype(np.float64), first, down, width, q, parent)
     _resolve(parent)
@@ -83,7 +83,7 @@ def region_means(labels: NDArray[np.int32], levels: NDArray[np.uint8]) -> tuple[
 
 
 @compiled
-def _sorted_pairs(pixels: NDArray[np.uint8], height: int, width: int) -> tuple[NDArray[np.int32], NDArray[np.bool_]]:
+def _sorted_pairs(pixels: NDArray[np.int16], height: int, width: int) -> tuple[NDArray[np.int32], NDArray[np.bool_]]:
     """4-neighbour pairs by rising largest channel difference, ties in raster order (a stable bucket sort)."""
     starts = np.zeros(_LEVELS + 1, np.int64)
     count = height * (width - 1) + (height - 1) * width
@@ -99,8 +99,7 @@ def _sorted_pairs(pixels: NDArray[np.uint8], height: int, width: int) -> tuple[N
                     there = here + (width if direction == 1 else 1)
                     largest = 0
                     for c in range(pixels.shape[1]):
-                        difference = int(pixels[here, c]) - int(pixels[there, c])
-                        largest = max(largest, difference, -difference)
+                        largest = max(largest, int(abs(pixels[here, c] - pixels[there, c])))
                     if sweep == 0:
                         starts[largest + 1] += 1
                     else:

@@ -151,7 +151,7 @@ def inner(mask: NDArray[np.bool_], margin_px: float, *, frame_is_edge: bool = Fa
 
 
 def edge_distance(mask: NDArray[np.bool_], *, frame_is_edge: bool = False) -> NDArray[np.float32]:
-    """float32 (H, W): distance (px) from each pixel of a region to the nearest outside it; infinite if there is none."""
+    """float32 (H, W): distance (px) from each pixel of a region to the nearest one outside, or infinite."""
     padded = np.pad(mask.astype(np.uint8), 1, constant_values=0 if frame_is_edge else 1)
     if padded.all():
         return np.full(mask.shape, np.inf, np.float32)
