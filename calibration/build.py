@@ -318,7 +318,7 @@ def _assemble(
     size = options.sensor_size or _known_size(infos[0][1])
     manifest: dict[str, Any] = {
         "kind": "measured",
-        "software": metadata.version("depth-workbench"),
+        "software": software_version(),
         "nominal_depths_mm": nominal.tolist(),
         "camera": {
             **options.camera,
@@ -372,6 +372,11 @@ def _assemble(
         },
     )
     return BuiltBank(bank, quality, tuple(rejected))
+
+
+def software_version() -> str:
+    """Version of this software, for provenance."""
+    return metadata.version("depth-workbench")
 
 
 def _known_size(info: FrameInfo) -> tuple[int, int] | None:

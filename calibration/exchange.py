@@ -1,0 +1,278 @@
+"""Banks in and out: NPY, NPZ, MATLAB .mat and TIFF stacks in; NPZ and ImageJ TIFF stacks out."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import scipy.io
+import tifffile
+from numpy.typing import NDArray
+
+from calibration.bank import Bank
+from calibration.build import software_version
+from calibration.errors import BankError, DepthListError, FitError
+from calibration.lens_fit import check_depths, fit_lens
+from calibration.template import Spot, fit_spots
+
+FloatArray = NDArray[np.float64]
+
+_PSF_NAMES = ("psf", "psfs", "PSF", "PSFs", "bank", "h", "kernels")
+_DEPTH_NAMES = ("depths_cm", "depths_mm", "depths", "depth_cm", "depth_mm", "depth", "z")
+
+
+def import_bank(
+    path: str | Path,
+    depths_mm: Sequence[float] | None = None,
+    *,
+    recipe: str = "linear",
+    pixel_pitch_mm: float | None = None,
+    axis: int | None = None,
+) -> Bank:
+    """Make a bank from a stack of PSFs.
+
+    Parameters
+    ----------
+    path
+        ``.npy``, ``.npz``, ``.mat`` (the array named psf, or the only three-dimensional one) or ``.tif``. An
+        ``.npz`` or ImageJ TIFF written by :func:`export_npz` or :func:`export_tiff` comes back as the same PSFs and depths.
+    depths_mm
+        One per plane, in the order of the planes (ascending or descending); None: taken from the file (``depths_mm``,
+        ``depths_cm``, or slice labels in cm).
+    recipe, pixel_pitch_mm
+        How the PSFs' frames were developed, where the file doesn't say so.
+    axis
+        Which axis counts planes; default: the one as long as the list of depths (the first in doubt, the last for
+        ``.mat``, where that is the habit).
+
+    Raises
+    ------
+    BankError
+        The file can't be read, or holds no stack of PSFs.
+    DepthListError
+        No list of depths, one of another length, or one that can't be right.
+    """
+    path = Path(path)
+    try:
+        stack, stored = _read(path)
+    except (BankError, DepthListError):
+        raise
+    except FileNotFoundError:
+        raise BankError(f"{path}: no such file") from None
+    except Exception as error:  # readers raise whatever broken bytes lead them to
+        raise BankError(f"{path}: can't be read ({' '.join(str(error).split())[:120]})") from error
+    depths = list(depths_mm) if depths_mm is not None else stored.get("depths_mm")
+    if depths is None:
+        raise DepthListError(f"{path}: holds no depths; give one per plane")
+    try:
+        checked = check_depths(depths, ordered=True)
+    except DepthListError as error:
+        raise DepthListError(f"{path}: {error}") from None
+    if stack.ndim == 4 and stored.get("field_yx") is not None:
+        planes = stack
+    else:
+        planes = _planes_first(path, stack, checked.size, axis)[np.newaxis]
+    order = np.argsort(checked)
+    psf = _odd_square(planes[:, order])
+    total = psf.sum(axis=(2, 3), keepdims=True)
+    if not np.isfinite(psf).all() or (total <= 0).any():
+        raise BankError(f"{path}: a plane is empty or not finite")
+    if np.abs(total - 1.0).max() > 1e-5:  # planes that sum to 1 already stay bit for bit
+        psf = (psf / total).astype(np.float32)
+    stored_se = stored.get("psf_se")
+    se = _odd_square(stored_se[:, order]) if stored_se is not None else _guess_se(psf)
+    radius = _radii(path, psf, se, checked[order])
+    lens = fit_lens(checked[order], radius[0], radius[1], apply_zero=False)
+    return Bank(
+        depths_mm=checked[order],
+        psf=psf,
+        psf_se=se,
+        field_yx=np.asarray(stored.get("field_yx", np.zeros((1, 2))), np.float64),
+        lens=lens,
+        recipe=str(stored.get("recipe", recipe)),
+        pixel_pitch_mm=stored.get("pixel_pitch_mm", pixel_pitch_mm),
+        manifest={
+            "kind": "imported",
+            "software": software_version(),
+            "source": {"name": path.name, "sha256": hashlib.sha256(path.read_bytes()).hexdigest()},
+            "camera": stored.get("camera", {}),
+        },
+    )
+
+
+def export_npz(bank: Bank, path: str | Path) -> Path:
+    """Write PSFs, standard errors, depths and facts as a compressed NPZ; :func:`import_bank` reads it back exactly."""
+    path = Path(path)
+    facts = {"recipe": bank.recipe, "pixel_pitch_mm": bank.pixel_pitch_mm, "camera": bank.manifest.get("camera", {})}
+    with path.open("wb") as stream:
+        np.savez_compressed(
+            stream,
+            psf=bank.psf,
+            psf_se=bank.psf_se,
+            depths_mm=bank.depths_mm,
+            field_yx=bank.field_yx,
+            radius_px=bank.lens.radius_px,
+            facts=np.array(json.dumps(facts)),
+        )
+    return path
+
+
+def export_tiff(bank: Bank, path: str | Path) -> Path:
+    """Write the central set as an ImageJ hyperstack: float32, one slice a depth, labelled in cm."""
+    path = Path(path)
+    labels = [f"{depth / 10:.10g} cm" for depth in bank.depths_mm]
+    metadata: dict[str, Any] = {"axes": "ZYX", "Labels": labels, "mode": "grayscale"}
+    facts = {
+        "recipe": bank.recipe,
+        "pixel_pitch_mm": bank.pixel_pitch_mm,
+        "bank": bank.id,
+        "depths_mm": bank.depths_mm.tolist(),
+    }
+    metadata["Info"] = json.dumps(facts)
+    tifffile.imwrite(path, bank.central.astype(np.float32), imagej=True, metadata=metadata)
+    return path
+
+
+def diff(a: Bank, b: Bank) -> dict[str, Any]:
+    """Differences of two banks as plain figures.
+
+    Returns
+    -------
+    dict
+        ``same`` (content), ``focus_mm``, ``scale_px``, ``zero_mm`` (b minus a; None where unknown), ``recipe`` and
+        ``pixel_pitch_mm`` (pairs), ``depths``: one entry per common depth (to 0.5 mm) with ``depth_mm``,
+        ``psf_distance`` (half the L1 distance after aligning the grids, 0 to 1) and ``radius_px`` (b minus a);
+        ``only_a``, ``only_b``: depths in mm.
+    """
+    pairs = [
+        (i, int(j[0])) for i, z in enumerate(a.depths_mm) if (j := np.flatnonzero(np.abs(b.depths_mm - z) < 0.5)).size
+    ]
+    half = max(a.psf.shape[-1], b.psf.shape[-1]) // 2
+    first, second = _padded(a.central, half), _padded(b.central, half)
+    left = {i for i, _ in pairs}
+    right = {j for _, j in pairs}
+    return {
+        "same": a.id == b.id,
+        "focus_mm": _difference(a.lens.focus_mm, b.lens.focus_mm),
+        "scale_px": _difference(a.lens.scale_px, b.lens.scale_px),
+        "zero_mm": _difference(a.lens.zero_mm, b.lens.zero_mm),
+        "recipe": [a.recipe, b.recipe],
+        "pixel_pitch_mm": [a.pixel_pitch_mm, b.pixel_pitch_mm],
+        "depths": [
+            {
+                "depth_mm": float(a.depths_mm[i]),
+                "psf_distance": float(0.5 * np.abs(first[i] - second[j]).sum()),
+                "radius_px": float(b.lens.radius_px[j] - a.lens.radius_px[i]),
+            }
+            for i, j in pairs
+        ],
+        "only_a": [float(z) for i, z in enumerate(a.depths_mm) if i not in left],
+        "only_b": [float(z) for j, z in enumerate(b.depths_mm) if j not in right],
+    }
+
+
+def _difference(a: float, b: float) -> float | None:
+    return float(b - a) if np.isfinite(a) and np.isfinite(b) else None
+
+
+def _padded(psf: NDArray[np.float32], half: int) -> FloatArray:
+    margin = half - psf.shape[-1] // 2
+    return np.pad(psf.astype(np.float64), ((0, 0), (margin, margin), (margin, margin)))
+
+
+def _read(path: Path) -> tuple[NDArray[Any], dict[str, Any]]:
+    suffix = path.suffix.lower()
+    if suffix == ".npy":
+        return np.load(path, allow_pickle=False), {}
+    if suffix in (".tif", ".tiff"):
+        return _read_tiff(path)
+    if suffix == ".npz":
+        with np.load(path, allow_pickle=False) as archive:
+            content = {name: archive[name] for name in archive.files}
+    elif suffix == ".mat":
+        content = {k: v for k, v in scipy.io.loadmat(path).items() if not k.startswith("__")}
+    else:
+        raise BankError(f"{path}: can't import {suffix or 'this'}; give .npy, .npz, .mat (up to v7) or .tif")
+    stored: dict[str, Any] = {}
+    if "facts" in content:
+        stored = json.loads(str(content["facts"]))
+    for name in ("psf_se", "field_yx"):
+        if name in content:
+            stored[name] = content[name]
+    for name in _DEPTH_NAMES:
+        if name in content and np.asarray(content[name]).dtype.kind in "iuf":
+            unit = 1.0 if name.endswith("mm") else 10.0
+            stored["depths_mm"] = (np.asarray(content[name], np.float64).ravel() * unit).tolist()
+            break
+    for name in _PSF_NAMES:
+        if name in content:
+            return np.asarray(content[name]), stored
+    stacks = [v for v in content.values() if isinstance(v, np.ndarray) and v.ndim == 3]
+    if len(stacks) != 1:
+        raise BankError(f"{path}: has {len(stacks)} three-dimensional arrays and none is named psf; rename one")
+    return stacks[0], stored
+
+
+def _read_tiff(path: Path) -> tuple[NDArray[Any], dict[str, Any]]:
+    with tifffile.TiffFile(path) as tif:
+        stack = np.asarray(tif.asarray())
+        imagej = tif.imagej_metadata or {}
+    stored: dict[str, Any] = {}
+    labels = imagej.get("Labels") or []
+    if labels and all(str(label).strip().endswith("cm") for label in labels):
+        stored["depths_mm"] = [round(float(str(label).strip()[:-2]) * 10.0, 9) for label in labels]
+    try:
+        facts = json.loads(str(imagej.get("Info", "")))
+        stored |= {key: facts[key] for key in ("recipe", "pixel_pitch_mm", "depths_mm") if key in facts}
+    except (ValueError, TypeError):
+        pass  # an Info text of someone else's
+    return stack, stored
+
+
+def _planes_first(path: Path, stack: NDArray[Any], count: int, axis: int | None) -> NDArray[Any]:
+    if stack.ndim != 3:
+        raise BankError(f"{path}: has shape {stack.shape}; expected a stack of planes (D, K, K)")
+    fitting = [k for k in range(3) if stack.shape[k] == count]
+    if axis is None:
+        if not fitting:
+            raise DepthListError(f"{path}: {count} depths for a stack of shape {stack.shape}; give one depth per plane")
+        axis = fitting[-1] if path.suffix.lower() == ".mat" else fitting[0]
+    if stack.shape[axis] != count:
+        raise DepthListError(f"{path}: {count} depths, but axis {axis} holds {stack.shape[axis]} planes")
+    return np.moveaxis(stack, axis, 0)
+
+
+def _odd_square(planes: NDArray[Any]) -> NDArray[np.float32]:
+    """Pad (F, D, h, w) with zeros to odd squares; an even side grows at its end, the middle pixel being at n // 2."""
+    if planes.dtype.kind not in "buif":
+        raise BankError("the stack holds no real numbers")
+    h, w = planes.shape[-2:]
+    half = max(h // 2, w // 2)
+    size = 2 * half + 1
+    top, left = half - h // 2, half - w // 2
+    pad = ((0, 0), (0, 0), (top, size - h - top), (left, size - w - left))
+    return np.pad(planes, pad).astype(np.float32)
+
+
+def _guess_se(psf: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Stand-in errors where a file has none: 2 % of the plane's upper level everywhere."""
+    level = np.percentile(psf.reshape(*psf.shape[:2], -1), 99, axis=2)
+    return np.asarray(np.broadcast_to(0.02 * level[:, :, np.newaxis, np.newaxis], psf.shape), np.float32).copy()
+
+
+def _radii(
+    path: Path, psf: NDArray[np.float32], se: NDArray[np.float32], depths: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    spots = [
+        Spot(p.astype(np.float64), np.maximum(s.astype(np.float64), 1e-4 * float(p.max())))
+        for p, s in zip(psf[0], se[0], strict=True)
+    ]
+    try:
+        fit = fit_spots(spots, 1.0 / depths)
+    except FitError as error:
+        raise FitError(f"{path}: {error}") from None
+    return np.array([s.radius_px for s in fit.spots]), np.array([s.radius_se_px for s in fit.spots])
