@@ -244,6 +244,8 @@ def denoise(window_sums: NDArray[np.floating], options: SharpnessOptions) -> Den
     ----------
     window_sums
         (n,) values of one edge map at a region's pixels.
+    options
+        ``sections``, ``increment_ratio`` and ``fallback_cdf`` are used.
     """
     values = np.asarray(window_sums, np.float64)
     total = values.sum()

@@ -1,0 +1,109 @@
+"""The all-focus image and the depth map of a measured photograph.
+
+Every depth that occurs is deconvolved once, from the pixels of its own regions alone: what lies outside is unobserved
+(the weights of :mod:`workbench.depth.richardson_lucy`), so that a bright neighbour at another depth neither rings into
+a region nor darkens its edge. The results are blended over a few pixels with weights that sum to one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from calibration.bank import Bank
+from calibration.image import LinearImage
+from workbench.depth.estimate import DepthEstimate
+from workbench.depth.richardson_lucy import Deconvolver
+
+_REACH_SIGMAS = 3
+
+
+def depth_map(labels: NDArray[np.int32], estimates: Mapping[int, DepthEstimate]) -> NDArray[np.float32]:
+    """float32 (H, W): depth (mm) of each pixel's region; NaN outside regions and where a region says nothing."""
+    table = np.full(int(labels.max(initial=0)) + 1, np.nan, np.float32)
+    for label, estimate in estimates.items():
+        if 0 < label < len(table):
+            table[label] = estimate.depth_mm
+    return np.asarray(table[labels])
+
+
+def all_focus(
+    image: LinearImage,
+    bank: Bank,
+    labels: NDArray[np.int32],
+    estimates: Mapping[int, DepthEstimate],
+    *,
+    iterations: int = 20,
+    feather_px: float = 2.0,
+    workers: int = 1,
+) -> NDArray[np.float32]:
+    """Deconvolve each region with the PSF of its depth.
+
+    Parameters
+    ----------
+    image
+        Linear, any number of channels.
+    bank
+        Its central PSFs are used, for each region the one that is nearest in inverse depth.
+    labels
+        int32 (H, W), 0 = no region.
+    estimates
+        By label. Pixels without a depth are taken to be as far as the bank reaches.
+    iterations
+        Richardson-Lucy iterations.
+    feather_px
+        Standard deviation of the blend between depths, pixels.
+    workers
+        Threads.
+
+    Returns
+    -------
+    float32 (H, W, C), linear, unit of the image.
+
+    Raises
+    ------
+    ValueError
+        Labels of another size than the image.
+    """
+    if labels.shape != image.shape:
+        raise ValueError(f"labels are {labels.shape}, the image is {image.shape}")
+    planes_used = _nearest_plane(depth_map(labels, estimates), bank.depths_mm)
+    blended = np.zeros_like(image.planes)
+    weights = np.zeros(image.shape, np.float32)
+    for index in np.unique(planes_used):
+        mask = (planes_used == index).astype(np.float32)
+        weight = cv2.GaussianBlur(mask, (0, 0), feather_px) if feather_px > 0 else mask
+        reach = int(np.ceil(_REACH_SIGMAS * feather_px))
+        box = _box(mask, reach)
+        observed = cv2.dilate(mask[box], np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)) > 0
+        # The blend ends where the observed pixels do.
+        local = np.where(observed, weight[box], np.float32(0))
+        observed &= ~image.saturated[box]
+        deconvolver = Deconvolver((local.shape[0], local.shape[1]), bank.psf.shape[-1], mask=observed, workers=workers)
+        kernel = deconvolver.kernel(bank.central[index])
+        for channel in range(image.planes.shape[2]):
+            sharp = deconvolver.richardson_lucy(image.planes[*box, channel], kernel, iterations)
+            blended[*box, channel] += local * sharp
+        weights[box] += local
+    return np.asarray(blended / weights[:, :, None])
+
+
+def _nearest_plane(depth_mm: NDArray[np.float32], depths_mm: NDArray[np.float64]) -> NDArray[np.intp]:
+    """Index of the bank's depth that is nearest in inverse depth, the farthest for NaN; (H, W)."""
+    inverse = -1.0 / depths_mm
+    middles = (inverse[1:] + inverse[:-1]) / 2
+    known = np.isfinite(depth_mm)
+    found = np.searchsorted(middles, -1.0 / np.where(known, depth_mm, 1.0))
+    return np.where(known, found, len(depths_mm) - 1)
+
+
+def _box(mask: NDArray[np.float32], reach: int) -> tuple[slice, slice]:
+    rows = np.flatnonzero(mask.any(axis=1))
+    columns = np.flatnonzero(mask.any(axis=0))
+    return (
+        slice(max(0, int(rows[0]) - reach), int(rows[-1]) + 1 + reach),
+        slice(max(0, int(columns[0]) - reach), int(columns[-1]) + 1 + reach),
+    )
