@@ -314,6 +314,7 @@ def _assemble(
         stacks=fields[central].stacks,
         psf=np.stack([p.psf for p in planes[central]]),
         psf_se=np.stack([p.se for p in planes[central]]),
+        core_px=fields[central].fit.core_px,
     )
     size = options.sensor_size or _known_size(infos[0][1])
     manifest: dict[str, Any] = {

@@ -39,7 +39,7 @@ def import_bank(
     ----------
     path
         ``.npy``, ``.npz``, ``.mat`` (the array named psf, or the only three-dimensional one) or ``.tif``. An
-        ``.npz`` or ImageJ TIFF written by :func:`export_npz` or :func:`export_tiff` comes back as the same PSFs and depths.
+        ``.npz`` or ImageJ TIFF written by :func:`export_npz` or :func:`export_tiff` comes back exactly.
     depths_mm
         One per plane, in the order of the planes (ascending or descending); None: taken from the file (``depths_mm``,
         ``depths_cm``, or slice labels in cm).

@@ -132,9 +132,9 @@ def find_points(image: LinearImage, *, expected: int = 1, options: PointOptions 
 
 
 def remove_hot_pixels(planes: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-    """Replace pixels that stand out in exactly one of three channels by their neighbours' median.
+    """Replace pixels that stand out in one or two of three channels, but not in all, by their neighbours' median.
 
-    A real point, even one that fills a single pixel, lights all channels; a hot photosite lights one. An image with
+    A real point, even one that fills a single pixel, lights all channels; a hot photosite lights its own. An image with
     one channel can't be told apart this way and is returned unchanged (a dark frame does it there).
 
     Returns
@@ -146,23 +146,23 @@ def remove_hot_pixels(planes: NDArray[np.float32]) -> tuple[NDArray[np.float32],
     if planes.shape[2] != 3:
         return planes, hot
     medians = [cv2.medianBlur(np.ascontiguousarray(planes[:, :, c]), 3) for c in range(3)]
-    outliers = []
-    for c in range(3):
-        deviation = planes[:, :, c] - medians[c]
-        sample = deviation[::3, ::3]
-        sigma = _MAD * float(np.median(np.abs(sample))) + 1e-9
-        # a share of the local signal allows for shot noise at high ISO
-        least = 0.3 * np.maximum(medians[c], 0.0)
-        outliers.append((deviation > 10.0 * sigma + least, deviation > 3.0 * sigma + 0.3 * least))
+    deviations = [planes[:, :, c] - medians[c] for c in range(3)]
+    sigmas = [_MAD * float(np.median(np.abs(d[::3, ::3]))) + 1e-9 for d in deviations]
     cleaned = planes
     for c in range(3):
-        others = [outliers[k][1] for k in range(3) if k != c]
-        alone = outliers[c][0] & ~(others[0] | others[1])
-        if alone.any():
+        # a share of the local signal allows for shot noise at high ISO
+        outlier = deviations[c] > 10.0 * sigmas[c] + 0.3 * np.maximum(medians[c], 0.0)
+        where = np.nonzero(outlier)
+        dark = np.zeros(where[0].size, np.bool_)
+        for k in range(3):
+            if k != c:
+                dark |= deviations[k][where] < 0.05 * deviations[c][where] + sigmas[k]
+        where = (where[0][dark], where[1][dark])
+        if where[0].size:
             if cleaned is planes:
                 cleaned = planes.copy()
-            cleaned[:, :, c][alone] = medians[c][alone]
-            hot |= alone
+            cleaned[:, :, c][where] = medians[c][where]
+            hot[where] = True
     return cleaned, hot
 
 

@@ -36,7 +36,7 @@ LIMITS: Mapping[str, Limit] = {
     "saturation_margin": Limit(0.05, 0.01, True, "1 minus the brightest channel"),
     "residual_px": Limit(0.15, 0.5, False, "absolute distance of the radius from the fitted lens"),
     "residual_sigma": Limit(5.0, 15.0, False, "the same over its standard error and the fit's spread"),
-    "support_fraction": Limit(0.45, 0.8, False, "support over the area of the circle about the blurred aperture"),
+    "support_fraction": Limit(1.0, 2.5, False, "support over the circle about the blurred aperture; more is a halo"),
     "asymmetry": Limit(0.05, 0.02, True, "distance of the PSF from itself turned by 180 degrees, 0 to 1"),
     "neighbour_change": Limit(
         0.6, 0.85, False, "distance to the nearer neighbouring depth's PSF, scaled to one size, 0 to 1"
@@ -95,6 +95,7 @@ def judge(
     stacks: Sequence[Stacked],
     psf: FloatArray,
     psf_se: FloatArray,
+    core_px: float,
 ) -> Quality:
     """Compute all figures of one set of PSFs (D, K, K) and judge them by :data:`LIMITS`."""
     per_depth = []
@@ -104,7 +105,7 @@ def judge(
         point = stacked.point
         brightest = np.unravel_index(int(psf[d].argmax()), psf[d].shape)
         mean_level = point.flux / max(1, int(point.support.sum()))
-        circle = np.pi * (abs(spot.radius_px) + 1.5) ** 2
+        circle = np.pi * (abs(spot.radius_px) + 3.5 * core_px + 1.5) ** 2
         at_focus = abs(spot.radius_px) < 2.0
         figures = {
             "flux_snr": point.flux_snr,

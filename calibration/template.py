@@ -29,6 +29,11 @@ FloatArray = NDArray[np.float64]
 MODEL_ERROR = 0.02
 """Error of the common aperture's picture, as a fraction of a spot's plateau."""
 
+MIN_CORE_PX = 0.05
+CORE_FROM_PX = 3.0
+"""The common core is taken from spots larger than this, and smaller than 0.6 of the largest: in the smallest it can't
+be told from the radius, in the largest not from the picture's own sharpness."""
+
 HALF_EXTENT = 1.25
 """The template reaches this many radii to each side; room for a first guess that is off."""
 
@@ -121,7 +126,7 @@ def render(
     return ay @ template @ ax.T
 
 
-def fit_spots(spots: Sequence[Spot], inverse_depth: FloatArray, *, rounds: int = 4) -> TemplateFit:
+def fit_spots(spots: Sequence[Spot], inverse_depth: FloatArray, *, rounds: int = 5) -> TemplateFit:
     """Fit the common aperture and every spot's signed radius and chief ray.
 
     Parameters
@@ -146,7 +151,7 @@ def fit_spots(spots: Sequence[Spot], inverse_depth: FloatArray, *, rounds: int =
     if size < 1.5:
         raise FitError("every point is in focus (blur radius below 1.5 px): spread the depths, or focus elsewhere")
     n_cells = int(np.clip(np.ceil(2 * HALF_EXTENT * size / 0.7), 40, 160))
-    core = 0.05
+    core = MIN_CORE_PX
     template = _start_template(spots[biggest], n_cells, radii[biggest], centres[biggest])
     fits = [
         SpotFit(float(r), 0.0, float(c[0]), float(c[1]), 0.0, float(s.values.sum()), 1.0, 0.0, 0.0)
@@ -158,7 +163,9 @@ def fit_spots(spots: Sequence[Spot], inverse_depth: FloatArray, *, rounds: int =
             template, [(spots[i], fits[i]) for i in builders], core, 12 if turn < rounds - 1 else 25
         )
         core = _fit_core(
-            template, [(s, f) for s, f in zip(spots, fits, strict=True) if 3.0 < abs(f.radius_px) < 0.6 * size]
+            template,
+            [(s, f) for s, f in zip(spots, fits, strict=True) if CORE_FROM_PX < abs(f.radius_px) < 0.6 * size],
+            core,
         )
         fits = [
             _fit_spot(template, spot, fit, core, both_signs=turn >= 1) for spot, fit in zip(spots, fits, strict=True)
@@ -283,28 +290,24 @@ def _resample(template: FloatArray, origin: tuple[float, float], size: float) ->
     return np.asarray(result / result.sum(), np.float64)
 
 
-def _fit_core(template: FloatArray, pairs: Sequence[tuple[Spot, SpotFit]]) -> float:
-    """Common core: scan of the summed chi2 with a parabola through its minimum."""
-    trials = np.array([0.05, 0.15, 0.25, 0.35, 0.5, 0.7, 1.0, 1.4, 2.0, 2.8])
-    cost = np.zeros(len(trials))
-    for k, trial in enumerate(trials):
-        for spot, fit in pairs:
-            width = float(np.sqrt(trial**2 + spot.extra_variance_px2))
-            model = render(
-                template,
-                HALF_EXTENT,
-                _shape(spot),
-                radius=fit.radius_px,
-                centre=(fit.centre_y, fit.centre_x),
-                core=width,
-            )
-            cost[k] += _profile(spot, model)[1]
-    k = int(np.argmin(cost))
-    if 0 < k < len(trials) - 1:
-        a, b, _ = np.polyfit(trials[k - 1 : k + 2] ** 2, cost[k - 1 : k + 2], 2)
-        if a > 0:
-            return float(np.sqrt(np.clip(-b / (2 * a), trials[k - 1] ** 2, trials[k + 1] ** 2)))
-    return float(trials[k])
+def _fit_core(template: FloatArray, pairs: Sequence[tuple[Spot, SpotFit]], core: float) -> float:
+    """Common core: fitted to each spot together with its radius and place, and averaged by its precision.
+
+    Held at the radii of the last turn instead, it would take many turns to move, since a wider core and a smaller
+    radius look alike.
+    """
+    if not pairs:
+        return core
+    found = [
+        _gauss_newton(template, spot, (fit.radius_px, fit.centre_y, fit.centre_x), core, free_core=True)[1]
+        for spot, fit in pairs
+    ]
+    variance = np.array([v for v, _ in found])
+    weight = 1.0 / np.array([se for _, se in found]) ** 2
+    order = np.argsort(variance)  # weighted median: a few spots with a problem of their own must not decide
+    share = np.cumsum(weight[order]) / weight.sum()
+    median = float(np.interp(0.5, share - 0.5 * weight[order] / weight.sum(), variance[order]))
+    return float(np.sqrt(max(median, MIN_CORE_PX**2)))
 
 
 def _profile(spot: Spot, model: FloatArray) -> tuple[float, float]:
@@ -315,13 +318,12 @@ def _profile(spot: Spot, model: FloatArray) -> tuple[float, float]:
 
 
 def _fit_spot(template: FloatArray, spot: Spot, start: SpotFit, core: float, *, both_signs: bool) -> SpotFit:
-    width = float(np.sqrt(core**2 + spot.extra_variance_px2))
-    first = _gauss_newton(template, spot, (start.radius_px, start.centre_y, start.centre_x), width)
+    first, _ = _gauss_newton(template, spot, (start.radius_px, start.centre_y, start.centre_x), core)
     if not both_signs:
         return first
     # the other sign starts where its centroid agrees
     flipped_y, flipped_x = _mirror_centre(template, first)
-    second = _gauss_newton(template, spot, (-first.radius_px, flipped_y, flipped_x), width)
+    second, _ = _gauss_newton(template, spot, (-first.radius_px, flipped_y, flipped_x), core)
     dof = max(1, spot.values.size - 4)
     if second.chi2 < first.chi2:
         first, second = second, first
@@ -338,65 +340,72 @@ def _mirror_centre(template: FloatArray, fit: SpotFit) -> tuple[float, float]:
 
 
 def _gauss_newton(
-    template: FloatArray, spot: Spot, start: tuple[float, float, float], width: float, iterations: int = 12
-) -> SpotFit:
-    """Damped Gauss-Newton on (radius, cy, cx), flux eliminated; standard errors scaled by the misfit."""
+    template: FloatArray,
+    spot: Spot,
+    start: tuple[float, float, float],
+    core: float,
+    *,
+    free_core: bool = False,
+    iterations: int = 12,
+) -> tuple[SpotFit, tuple[float, float]]:
+    """Levenberg-Marquardt on (radius, cy, cx) and, if free, the core's variance; the flux is eliminated.
+
+    Returns the fit, with standard errors scaled by the misfit, and the core's variance with its standard error (px^2).
+    """
+    shape = (int(spot.values.shape[0]), int(spot.values.shape[1]))
+    free = 4 if free_core else 3
+    least = np.array([-np.inf, -np.inf, -np.inf, MIN_CORE_PX**2])
 
     def model_of(p: FloatArray) -> FloatArray:
-        return render(
-            template, HALF_EXTENT, _shape(spot), radius=float(p[0]), centre=(float(p[1]), float(p[2])), core=width
-        )
+        width = float(np.sqrt(p[3] + spot.extra_variance_px2))
+        return render(template, HALF_EXTENT, shape, radius=float(p[0]), centre=(float(p[1]), float(p[2])), core=width)
 
-    p = np.array(start, np.float64)
+    p = np.array([*start, core**2], np.float64)
     model = model_of(p)
     flux, cost = _profile(spot, model)
     damping = 1e-3
-    hessian = np.eye(4)
+    hessian = np.eye(free + 1)
     for _ in range(iterations):
         columns = []
-        for k in range(3):
-            step = np.zeros(3)
+        for k in range(free):
+            step = np.zeros(4)
             step[k] = 1e-2
-            columns.append(flux * (model_of(p + step) - model_of(p - step)) / 2e-2)
-        columns.append(model)
-        jacobian = np.stack([(c / spot.se).ravel() for c in columns], axis=1)
+            low = np.maximum(p - step, least)
+            columns.append(flux * (model_of(p + step) - model_of(low)) / (p + step - low)[k])
+        jacobian = np.stack([(c / spot.se).ravel() for c in (*columns, model)], axis=1)
         residual = ((spot.values - flux * model) / spot.se).ravel()
         hessian = jacobian.T @ jacobian
         gradient = jacobian.T @ residual
-        moved = False
+        gained, largest = 0.0, 0.0
         for _ in range(6):
             damped = hessian + damping * np.diag(np.diag(hessian) + 1e-12)
-            change = np.linalg.lstsq(damped, gradient, rcond=None)[0][:3]
-            change = np.clip(change, -0.5 * max(abs(p[0]), 2.0), 0.5 * max(abs(p[0]), 2.0))
-            trial_model = model_of(p + change)
+            limit = 0.5 * max(abs(p[0]), 2.0)
+            change = np.zeros(4)
+            change[:free] = np.clip(np.linalg.lstsq(damped, gradient, rcond=None)[0][:free], -limit, limit)
+            trial = np.maximum(p + change, least)
+            trial_model = model_of(trial)
             trial_flux, trial_cost = _profile(spot, trial_model)
             if trial_cost < cost:
-                moved = True
-                p, model, flux = p + change, trial_model, trial_flux
-                gained, cost = cost - trial_cost, trial_cost
+                gained, largest = cost - trial_cost, float(np.abs(trial - p).max())
+                p, model, flux, cost = trial, trial_model, trial_flux, trial_cost
                 damping = max(damping * 0.2, 1e-7)
                 break
             damping *= 10.0
-        if not moved or (gained < 1e-4 * cost and float(np.abs(change).max()) < 1e-4):
+        if gained < 1e-4 * cost and largest < 1e-4:
             break
-    chi2 = cost / max(1, spot.values.size - 4)
-    covariance = np.linalg.pinv(hessian) * max(chi2, 1.0)
-    radius_se = float(np.sqrt(max(covariance[0, 0], 0.0)))
-    if not 1e-4 < radius_se < 1.0:  # at focus the image doesn't depend on the radius to first order
-        radius_se = 1.0
-    misfit = np.sqrt(((spot.values - flux * model) ** 2).sum() / (spot.values**2).sum())
-    return SpotFit(
+    chi2 = cost / max(1, spot.values.size - free - 1)
+    errors = np.sqrt(np.maximum(np.diag(np.linalg.pinv(hessian)) * max(chi2, 1.0), 0.0))
+    # at focus the image doesn't depend on the radius to first order
+    radius_se = float(errors[0]) if 1e-4 < errors[0] < 1.0 else 1.0
+    fit = SpotFit(
         radius_px=float(p[0]),
         radius_se_px=radius_se,
         centre_y=float(p[1]),
         centre_x=float(p[2]),
-        centre_se_px=float(np.sqrt(max(covariance[1, 1], covariance[2, 2], 0.0))),
+        centre_se_px=float(max(errors[1], errors[2])),
         flux=flux,
         chi2=chi2,
-        misfit=float(misfit),
+        misfit=float(np.sqrt(((spot.values - flux * model) ** 2).sum() / (spot.values**2).sum())),
         sign_evidence=0.0,
     )
-
-
-def _shape(spot: Spot) -> tuple[int, int]:
-    return int(spot.values.shape[0]), int(spot.values.shape[1])
+    return fit, (float(p[3]), float(errors[3]) if free_core and errors[3] > 0 else np.inf)
