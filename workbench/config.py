@@ -141,8 +141,6 @@ class CalibrationConfig(Section):
     repeats: int = Field(2, ge=1, le=100)
     off_frames: int = Field(1, ge=1, le=20)
     """Panel-off frames per depth; subtracted from the point frames."""
-    target_level: float = Field(0.7, gt=0.05, lt=0.95)
-    """Brightest pixel aimed at, fraction of white."""
     field: tuple[int, int] = (1, 1)
     """Points across and down the panel; (1, 1) is one central point."""
 

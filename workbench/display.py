@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 WHITE_PERCENTILE = 99.5
-"""Brightness that becomes display white: a few highlights may clip, noise spikes and hot pixels don't darken the rest."""
+"""What becomes display white: a few highlights may clip, hot pixels don't darken the rest."""
 
 
 def exposure_gain(linear: NDArray[np.floating], percentile: float = WHITE_PERCENTILE) -> float:
@@ -57,4 +57,5 @@ def to_srgb8(linear: NDArray[np.floating], gain: float | None = None) -> NDArray
     """
     values = np.asarray(linear, dtype=np.float32)
     factor = exposure_gain(values) if gain is None else gain
-    return np.rint(srgb_transfer(values * np.float32(factor)) * 255.0).astype(np.uint8)
+    encoded: NDArray[np.uint8] = np.rint(srgb_transfer(values * np.float32(factor)) * 255.0).astype(np.uint8)
+    return encoded

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 import os
 import shutil
 import tempfile
@@ -52,27 +53,47 @@ def write_text(path: Path, text: str) -> None:
     write_bytes(path, text.encode())
 
 
+def json_ready(value: Any) -> Any:
+    """Replace what JSON can't hold: NaN and infinity by null, arrays and tuples by lists, paths by text."""
+    if hasattr(value, "tolist"):
+        value = value.tolist()
+    if isinstance(value, dict):
+        return {str(key): json_ready(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [json_ready(item) for item in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return str(value) if isinstance(value, Path) else value
+
+
 def write_json(path: Path, value: Any) -> None:
     """Write indented JSON, whole or nothing."""
-    write_text(path, json.dumps(value, indent=2, ensure_ascii=False, allow_nan=False) + "\n")
+    write_text(path, json.dumps(json_ready(value), indent=2, ensure_ascii=False, allow_nan=False) + "\n")
 
 
 @contextmanager
-def replacing_directory(directory: Path) -> Iterator[Path]:
-    """Give a temporary directory; put it in place of ``directory`` when the block ends well, remove it otherwise."""
-    directory.parent.mkdir(parents=True, exist_ok=True)
-    temporary = Path(tempfile.mkdtemp(dir=directory.parent, prefix=f".{directory.name}."))
+def staged_files(directory: Path) -> Iterator[Path]:
+    """Give an empty temporary directory; when the block ends well, move its files into ``directory``.
+
+    Files are made elsewhere and renamed one by one, so that none is ever half written; other files in
+    ``directory`` stay. When the block fails nothing is left behind.
+    """
+    existed = directory.exists()
+    directory.mkdir(parents=True, exist_ok=True)
+    temporary = Path(tempfile.mkdtemp(dir=directory, prefix=".making."))
     try:
         yield temporary
-        temporary.chmod(0o755)
-        if directory.exists():
-            old = Path(tempfile.mkdtemp(dir=directory.parent, prefix=f".{directory.name}.old."))
-            directory.replace(old / directory.name)
-            temporary.replace(directory)
-            shutil.rmtree(old)
-        else:
-            temporary.replace(directory)
-        sync_directory(directory.parent)
+        for path in sorted(temporary.iterdir()):
+            with path.open("rb") as handle:
+                os.fsync(handle.fileno())
+        for path in sorted(temporary.iterdir()):
+            path.replace(directory / path.name)
+        sync_directory(directory)
+    except BaseException:
+        shutil.rmtree(temporary, ignore_errors=True)
+        if not existed:
+            shutil.rmtree(directory, ignore_errors=True)
+        raise
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
 

@@ -57,8 +57,6 @@ class Plan(BaseModel):
     off_frames: int
     dots: tuple[PatternSpec, ...]
     """What the panel shows, one per depth: the dot may grow with distance as its image shrinks."""
-    target_level: float = 0.7
-    """Brightest pixel aimed at by the metering, fraction of white."""
     iso: int = 100
     max_meter_shots: int = 8
 

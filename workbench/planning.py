@@ -61,7 +61,6 @@ def make_plan(
         repeats=wishes.repeats if repeats is None else repeats,
         off_frames=wishes.off_frames,
         dots=tuple(_dot(config, depth) for depth in depths),
-        target_level=wishes.target_level,
         iso=config.camera.iso,
     )
 

@@ -144,20 +144,29 @@ class SessionRunner:
         known = journal.state().exposures
         if shot.exposure_of not in known:
             dot = next(s.pattern for s in self._shots if s.exposure_of == shot.exposure_of and s.kind == "point")
-            start = list(known.values())[-1] if known else None
+            last = list(known.values())[-1] if known else None
+            start = Exposure(last["time_s"], int(last["iso"])) if last else None
 
             def expose(exposure: Exposure, path: Path) -> CaptureResult:
                 return self._capture(journal, dot, exposure, path)
 
+            stem = self._directory / "frames" / f"meter-{shot.exposure_of}"
             chosen = meter(
-                expose, self._rig.camera, self._directory / "frames" / f"meter-{shot.exposure_of}",
-                start_s=start["time_s"] if start else None, iso=self._plan.iso,
-                target=self._plan.target_level, max_shots=self._plan.max_meter_shots,
-            )  # fmt: skip
+                expose,
+                self._rig.camera,
+                stem,
+                start=start,
+                base_iso=self._plan.iso,
+                max_shots=self._plan.max_meter_shots,
+            )
             journal.append(
-                "metered", key=shot.exposure_of, time_s=chosen.exposure.time_s, iso=chosen.exposure.iso,
-                peak=round(chosen.peak, 5), frames=chosen.frames,
-            )  # fmt: skip
+                "metered",
+                key=shot.exposure_of,
+                time_s=chosen.exposure.time_s,
+                iso=chosen.exposure.iso,
+                peak=round(chosen.peak, 5),
+                frames=chosen.frames,
+            )
             self._tell(
                 f"{cm(shot.depth_mm, 0)}: exposure {exposure_text(chosen.exposure.time_s)}, "
                 f"brightest pixel at {chosen.peak:.0%} of white"

@@ -6,7 +6,6 @@ import errno
 import functools
 import json
 import logging
-import math
 import sys
 import traceback
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -23,6 +22,7 @@ from rich.table import Table
 from calibration.errors import CalibrationError
 from rigs.errors import ConfigError, RigError
 from workbench.errors import CheckFailedError, InputError
+from workbench.files import json_ready
 from workbench.progress import Step
 from workbench.project import Project, open_project
 from workbench.units import length_mm, seconds_text
@@ -43,9 +43,18 @@ class Context:
         """The project that -C names."""
         return open_project(self.directory)
 
-    def path(self, text: str | Path) -> Path:
-        """A path given on the command line: relative to the current directory, as in every Unix tool."""
-        return Path(text)
+    def existing(self, path: Path, what: str) -> Path:
+        """A path given on the command line: relative to the current directory, or else to the project.
+
+        Raises
+        ------
+        InputError
+            It is in neither.
+        """
+        for candidate in (path, self.directory / path):
+            if candidate.exists():
+                return candidate
+        raise InputError(f"{path}: no such {what}")
 
     @property
     def console(self) -> Console:
@@ -55,6 +64,10 @@ class Context:
     def say(self, text: str = "") -> None:
         """A line for people."""
         self.console.print(text, markup=False)
+
+    def note(self, text: str) -> None:
+        """A passing remark: on stderr, so that it never mixes with a result."""
+        print(text, file=sys.stderr, flush=True)
 
     def emit(self, value: Any) -> None:
         """One JSON object on stdout (one line), only with --json."""
@@ -90,19 +103,6 @@ class Context:
 def _plain(title: str, step: Step) -> str:
     left = f", {seconds_text(step.seconds_left)} left" if step.seconds_left is not None else ""
     return f"{title} {step.done}/{step.total}: {step.message}{left}"
-
-
-def json_ready(value: Any) -> Any:
-    """Replace what JSON can't hold: NaN and infinity by null, arrays and tuples by lists, paths by text."""
-    if hasattr(value, "tolist"):
-        value = value.tolist()
-    if isinstance(value, dict):
-        return {str(key): json_ready(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [json_ready(item) for item in value]
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return str(value) if isinstance(value, Path) else value
 
 
 class LengthParam(click.ParamType[float]):

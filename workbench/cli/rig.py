@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from workbench.cli.common import LENGTH, Context, command_options
+from workbench.errors import InputError
 from workbench.planning import cost, make_plan
-from workbench.project import create_project
+from workbench.project import Project, create_project
 from workbench.units import bytes_text, cm, seconds_text
+
+if TYPE_CHECKING:
+    from workbench.calibrate import CalibrationResult
 
 
 @click.command()
@@ -64,5 +69,91 @@ def plan(
             "shots": [shot.model_dump(mode="json") for shot in made.shots()],
             "seconds": round(estimate.seconds, 1),
             "bytes": round(estimate.bytes),
+        }
+    )
+
+
+@click.command()
+@plan_options
+@click.option("--frames", type=click.Path(path_type=Path), default=None,
+              help="Make the bank from RAW files: psf_060cm.dng ..., dark*.dng, or a frames.csv.")  # fmt: skip
+@click.option("--apply-zero", is_flag=True, help="With --frames: add the fitted stage zero to the depths.")
+@command_options
+def calibrate(
+    context: Context, from_mm: float | None, to_mm: float | None, step_mm: float | None, repeats: int | None,
+    frames: Path | None, apply_zero: bool,
+) -> None:  # fmt: skip
+    """Drive the rig through the plan and make a bank; or make it from files (--frames)."""
+    project = context.project()
+    config = project.config()
+    wishes = {"from_mm": from_mm, "to_mm": to_mm, "step_mm": step_mm, "repeats": repeats}
+    if frames is not None:
+        from workbench.calibrate import calibrate_frames
+
+        if any(value is not None for value in wishes.values()):
+            raise InputError("--frames: the depths come from the files; leave out --from, --to, --step and --repeats")
+        result = calibrate_frames(
+            project, context.existing(frames, "directory of frames"), config, apply_zero=apply_zero
+        )
+        _show_bank(context, project, result)
+        return
+    if apply_zero:
+        raise InputError("--apply-zero: only with --frames; a session of the rig always applies the fitted zero")
+    from workbench.session import create_session
+
+    made = make_plan(config, from_mm=from_mm, to_mm=to_mm, step_mm=step_mm, repeats=repeats)
+    session = project.new_session_id()
+    create_session(project.sessions / session, made)
+    _run_session(context, project, session)
+
+
+@click.command()
+@click.argument("session", required=False)
+@command_options
+def resume(context: Context, session: str | None) -> None:
+    """Go on with a session (default: the newest) where its journal stops."""
+    project = context.project()
+    _run_session(context, project, session or project.latest_session())
+
+
+def _run_session(context: Context, project: Project, session: str) -> None:
+    from calibration.raw import develop
+    from workbench.calibrate import calibrate_session
+    from workbench.devices import open_rig
+    from workbench.session import SessionRunner, load_plan
+
+    directory = project.sessions / session
+    made = load_plan(directory)
+    config = project.config()
+
+    def check(path: Path) -> None:
+        develop(path, recipe=config.camera.recipe, pixel_pitch_mm=config.camera.pixel_pitch_mm)
+
+    with (
+        project.lock_rig(),
+        context.progress(f"session {session}") as observer,
+        open_rig(config, tell=context.note) as rig,
+    ):
+        state = SessionRunner(directory, made, rig, observer=observer, check=check).run()
+    context.note("making the bank")
+    result = calibrate_session(project, directory, made, state, config)
+    _show_bank(context, project, result, session)
+
+
+def _show_bank(context: Context, project: Project, result: CalibrationResult, session: str = "") -> None:
+    from workbench.cli.banks import bank_rows, bank_summary
+
+    context.table(
+        ("", ""), bank_rows(result.bank, result.entry), title=f"Bank v{result.entry.version} {result.bank.id}"
+    )
+    for rejected in result.built.rejected:
+        context.say(f"left out: {rejected.message}")
+    context.say(f"report: {result.report}")
+    context.emit(
+        {
+            **bank_summary(result.bank, result.entry),
+            "session": session,
+            "report": project.relative(result.report),
+            "rejected": [{"file": r.path, "reason": r.reason, "message": r.message} for r in result.built.rejected],
         }
     )

@@ -1,0 +1,130 @@
+"""The depth estimators by name, behind one interface."""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+import types
+import typing
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calibration.bank import Bank
+from calibration.errors import CalibrationError
+from calibration.image import LinearImage
+from workbench.depth.estimate import DepthEstimate
+from workbench.depth.sharpness import SharpnessOptions, estimate_sharpness
+
+Estimator = Callable[[LinearImage, Bank, NDArray[np.int32], Any], dict[int, DepthEstimate]]
+
+
+@dataclass(frozen=True, slots=True)
+class Method:
+    """One estimator.
+
+    Attributes
+    ----------
+    name
+        As in ``measure --method``.
+    source
+        Where it is published.
+    estimate
+        ``estimate(image, bank, labels, options)``: depth per label.
+    options
+        Dataclass of its constants.
+    """
+
+    name: str
+    source: str
+    estimate: Estimator
+    options: type
+
+
+METHODS: dict[str, Method] = {
+    method.name: method
+    for method in (Method("sharpness", "Kim 2021, sharpness assessment", estimate_sharpness, SharpnessOptions),)
+}
+DEFAULT_METHOD = "sharpness"
+
+
+class MethodError(CalibrationError):
+    """Unknown method, unknown option of a method, or a value that isn't one."""
+
+
+def make_options(method: str, settings: Mapping[str, str]) -> tuple[Method, Any]:
+    """Find a method and build its options from texts.
+
+    Raises
+    ------
+    MethodError
+        Names what is unknown and the nearest known.
+    """
+    found = METHODS.get(method)
+    if found is None:
+        raise MethodError(f"--method {method}: unknown; known are {', '.join(METHODS)}")
+    hints = typing.get_type_hints(found.options)
+    values: dict[str, Any] = {}
+    for name, text in settings.items():
+        if name not in hints:
+            near = difflib.get_close_matches(name, hints, n=1, cutoff=0.4)
+            hint = f"did you mean {near[0]!r}?" if near else f"known are {', '.join(hints)}"
+            raise MethodError(f"--set {name}: method {method} has no such option; {hint}")
+        values[name] = _convert(name, text, hints[name])
+    try:
+        return found, found.options(**values)
+    except ValueError as error:
+        raise MethodError(f"--set: {error}") from None
+
+
+def _convert(name: str, text: str, kind: Any) -> Any:
+    if typing.get_origin(kind) in (typing.Union, types.UnionType):
+        if text.lower() == "none":
+            return None
+        kind = next(k for k in typing.get_args(kind) if k is not type(None))
+    if typing.get_origin(kind) is typing.Literal:
+        choices = typing.get_args(kind)
+        if text not in choices:
+            raise MethodError(f"--set {name}={text}: choose one of {', '.join(map(str, choices))}")
+        return text
+    if kind is bool:
+        if text.lower() not in ("true", "false", "yes", "no"):
+            raise MethodError(f"--set {name}={text}: give true or false")
+        return text.lower() in ("true", "yes")
+    try:
+        return kind(text)
+    except ValueError:
+        raise MethodError(f"--set {name}={text}: not a {kind.__name__}") from None
+
+
+def estimate_depths(
+    image: LinearImage, bank: Bank, labels: NDArray[np.int32], method: str, settings: Mapping[str, str]
+) -> dict[int, DepthEstimate]:
+    """Depth of every labelled region.
+
+    Parameters
+    ----------
+    image
+        Developed by the bank's recipe.
+    bank
+        PSFs.
+    labels
+        int32 (H, W), 0 = no region.
+    method, settings
+        Name of the estimator and its options as texts.
+
+    Raises
+    ------
+    MethodError
+        See :func:`make_options`.
+    """
+    found, options = make_options(method, settings)
+    return found.estimate(image, bank, labels, options)
+
+
+def option_values(method: str, settings: Mapping[str, str]) -> dict[str, Any]:
+    """Every constant that a measurement will use, for its provenance."""
+    return dataclasses.asdict(make_options(method, settings)[1])

@@ -1,0 +1,181 @@
+"""A scene's frame -> regions -> depths -> files."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import tifffile
+from numpy.typing import NDArray
+
+from calibration.bank import Bank, check_fits
+from calibration.image import LinearImage
+from calibration.raw import develop
+from workbench.depth.allfocus import all_focus, depth_map
+from workbench.depth.methods import estimate_depths, option_values
+from workbench.depth.regions import SrmOptions, from_roi, srm, whole
+from workbench.display import to_srgb8
+from workbench.errors import InputError
+from workbench.files import sha256_json, staged_files, write_json
+from workbench.measurement import Measurement
+from workbench.project import Project
+from workbench.report import write_measurement_report
+
+
+@dataclass(frozen=True, slots=True)
+class MeasureOptions:
+    """What the operator chose for a measurement."""
+
+    method: str = "evidence"
+    method_options: tuple[tuple[str, str], ...] = ()
+    """``--set name=value`` pairs of the method."""
+    roi: tuple[int, int, int, int] | None = None
+    """x, y, width, height in pixels of the developed image."""
+    labels: Path | None = None
+    whole: bool = False
+    srm_q: float = 32.0
+
+
+def read_labels(path: Path, shape: tuple[int, int]) -> NDArray[np.int32]:
+    """Read a label image (PNG or TIFF, one integer per pixel, 0 = none).
+
+    Raises
+    ------
+    InputError
+        Unreadable, not single-channel integers, of another size than the developed image, or without regions.
+    """
+    if not path.is_file():
+        raise InputError(f"{path}: no such label image")
+    labels = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+    if labels is None or labels.ndim != 2 or labels.dtype.kind not in "ui":
+        raise InputError(f"{path}: not a label image; expected a PNG or TIFF with one integer per pixel")
+    if labels.shape != shape:
+        raise InputError(
+            f"{path}: {labels.shape[1]} x {labels.shape[0]} pixels, the developed image has {shape[1]} x {shape[0]}; "
+            "draw labels on the developed image (half the RAW's size for the superpixel recipe)"
+        )
+    if not labels.any():
+        raise InputError(f"{path}: holds no region (every pixel is 0)")
+    return labels.astype(np.int32)
+
+
+def find_regions(image: LinearImage, options: MeasureOptions) -> NDArray[np.int32]:
+    """Label image (H, W) by whatever the operator chose; region merging by default.
+
+    Raises
+    ------
+    InputError
+        More than one way chosen, an ROI outside the image, a label image that doesn't fit.
+    """
+    chosen = [
+        name for name, on in (("--roi", options.roi), ("--labels", options.labels), ("--whole", options.whole)) if on
+    ]
+    if len(chosen) > 1:
+        raise InputError(f"{' and '.join(chosen)}: choose one of them")
+    height, width = image.shape
+    if options.roi is not None:
+        x, y, w, h = options.roi
+        if w <= 0 or h <= 0 or x < 0 or y < 0 or x + w > width or y + h > height:
+            raise InputError(
+                f"--roi {x},{y},{w},{h}: outside the developed image ({width} x {height} pixels); give x,y,width,height"
+            )
+        return from_roi(image.shape, options.roi)
+    if options.labels is not None:
+        return read_labels(options.labels, image.shape)
+    if options.whole:
+        return whole(image.shape)
+    return srm(image, SrmOptions(q=options.srm_q))
+
+
+def measure(path: Path, bank: Bank, bank_ref: str, options: MeasureOptions) -> Measurement:
+    """Measure one photograph; writes nothing.
+
+    Raises
+    ------
+    CalibrationError
+        The file can't be used, or doesn't belong to this bank.
+    InputError
+        The region or method options can't be used.
+    """
+    started = time.perf_counter()
+    image = develop(path, recipe="native" if bank.recipe == "native" else "superpixel")
+    check_fits(bank, image)
+    labels = find_regions(image, options)
+    estimates = estimate_depths(image, bank, labels, options.method, dict(options.method_options))
+    return Measurement(
+        image=image,
+        image_name=str(path),
+        bank_ref=bank_ref,
+        bank_id=bank.id,
+        method=options.method,
+        options=_options_json(options),
+        labels=labels,
+        estimates=estimates,
+        depth_map_mm=depth_map(labels, estimates),
+        all_focus=all_focus(image, bank, labels, estimates),
+        seconds=time.perf_counter() - started,
+    )
+
+
+def _options_json(options: MeasureOptions) -> dict[str, Any]:
+    values = asdict(options)
+    values["labels"] = str(options.labels) if options.labels else None
+    values["method_options"] = option_values(options.method, dict(options.method_options))
+    return values
+
+
+def measurement_id(measurement: Measurement) -> str:
+    """Name of a measurement: the photograph's name and a hash of photograph, bank and options."""
+    content = [measurement.image.info.sha256, measurement.bank_id, measurement.method, measurement.options]
+    return f"{Path(measurement.image_name).stem}-{sha256_json(content)[:8]}"
+
+
+def save(measurement: Measurement, bank: Bank, project: Project, out: Path | None = None) -> Measurement:
+    """Write depth map, all-focus image, labels, JSON and report into one directory, whole or not at all.
+
+    ``out`` replaces the default directory ``measurements/ID``. An existing ``out`` keeps its other files.
+
+    Returns
+    -------
+    Measurement
+        With ``files`` filled in.
+    """
+    directory = out or project.measurements / measurement_id(measurement)
+    names = {
+        "depth_png": "depth.png",
+        "depth_tiff": "depth.tiff",
+        "all_focus": "all_focus.png",
+        "labels": "labels.png",
+        "report": "report.html",
+    }
+    done = replace(measurement, files={role: directory / name for role, name in names.items()})
+    with staged_files(directory) as temporary:
+        _write_png(temporary / names["depth_png"], depth_to_png(measurement.depth_map_mm))
+        tifffile.imwrite(
+            temporary / names["depth_tiff"], measurement.depth_map_mm, compression="zlib", metadata=None,
+            description="depth in mm, NaN = unknown",
+        )  # fmt: skip
+        _write_png(temporary / names["all_focus"], to_srgb8(measurement.all_focus))
+        _write_png(temporary / names["labels"], measurement.labels.astype(np.uint16))
+        write_measurement_report(done, bank, temporary / names["report"])
+        write_json(temporary / "measurement.json", done.as_json(project.relative))
+    return done
+
+
+def depth_to_png(depth_map_mm: NDArray[np.float32]) -> NDArray[np.uint16]:
+    """uint16 (H, W) millimetres, 0 = unknown; depths beyond 65.5 m saturate."""
+    filled = np.nan_to_num(depth_map_mm, nan=0.0, posinf=0.0, neginf=0.0)
+    return np.clip(np.rint(filled), 0, 65535).astype(np.uint16)
+
+
+def _write_png(path: Path, pixels: NDArray[Any]) -> None:
+    if pixels.ndim == 3:
+        pixels = pixels[:, :, ::-1] if pixels.shape[2] == 3 else pixels[:, :, 0]  # OpenCV writes B, G, R
+    good, data = cv2.imencode(".png", np.ascontiguousarray(pixels))
+    if not good:
+        raise OSError(f"{path}: PNG encoding failed")
+    path.write_bytes(data.tobytes())
