@@ -1,0 +1,210 @@
+"""What the align page shows: samples measured elsewhere, compared with what is wanted.
+
+No image science here: centroid, peak and width come with :meth:`AlignFeed.push`.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import asdict, dataclass
+from typing import Any, Literal
+
+_HISTORY = 240
+
+Level = Literal["good", "warn", "bad"]
+
+
+@dataclass(frozen=True, slots=True)
+class AlignSample:
+    """One look through the camera, measured. Pixels are those of the whole developed image; None: not measured."""
+
+    frame_width_px: int
+    frame_height_px: int
+    image: bytes = b""
+    """JPEG or PNG of the crop around the point; empty: keep the last one."""
+    crop_px: tuple[float, float, float, float] | None = None
+    """Left, top, width, height of ``image`` in the frame; None: the whole frame."""
+    centroid_px: tuple[float, float] | None = None
+    """None: no point was found."""
+    target_px: tuple[float, float] | None = None
+    """Where the point is wanted; None: the frame's centre."""
+    peak: float | None = None
+    """Brightest value, fraction of white."""
+    saturated_px: int = 0
+    width_px: float | None = None
+    """Width of the PSF; the same measure from sample to sample is what counts."""
+    exposure_s: float | None = None
+    iso: int | None = None
+    note: str = ""
+    """Why something couldn't be measured, for the operator."""
+
+    def offset_px(self) -> tuple[float, float] | None:
+        """Centroid minus target (x to the right, y down); None without a point."""
+        if self.centroid_px is None:
+            return None
+        target = self.target_px or ((self.frame_width_px - 1) / 2, (self.frame_height_px - 1) / 2)
+        return self.centroid_px[0] - target[0], self.centroid_px[1] - target[1]
+
+
+@dataclass(frozen=True, slots=True)
+class AlignTolerance:
+    """What counts as aligned."""
+
+    centre_px: float = 12.0
+    """Largest distance from the target."""
+    peak: tuple[float, float] = (0.3, 0.9)
+    """Wanted brightest value, fraction of white."""
+    width_ratio: float = 1.08
+    """Largest width relative to the narrowest seen that still counts as in focus."""
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One judgement: ``aspect`` is point, centre, exposure or focus."""
+
+    aspect: str
+    level: Level
+    text: str
+
+
+def judge(sample: AlignSample, tolerance: AlignTolerance, narrowest_px: float | None = None) -> tuple[Finding, ...]:
+    """What is right and wrong with a sample, the most urgent first; each text says what to do.
+
+    Parameters
+    ----------
+    sample, tolerance
+        What was measured, and what is wanted.
+    narrowest_px
+        Smallest width seen so far, pixels; None: not known.
+    """
+    findings = [_exposure(sample, tolerance), _centre(sample, tolerance), _focus(sample, tolerance, narrowest_px)]
+    urgency = {"bad": 0, "warn": 1, "good": 2}
+    return tuple(sorted((f for f in findings if f is not None), key=lambda finding: urgency[finding.level]))
+
+
+def _centre(sample: AlignSample, tolerance: AlignTolerance) -> Finding:
+    offset = sample.offset_px()
+    if offset is None:
+        return Finding("point", "bad", f"no point: {sample.note or 'is the dot on, and the panel in view?'}")
+    distance = math.hypot(*offset)
+    if distance <= tolerance.centre_px:
+        return Finding("centre", "good", f"centred within {tolerance.centre_px:g} px")
+    sides = ((offset[0], "left", "right"), (offset[1], "up", "down"))
+    words = [f"{abs(v):.0f} px {low if v < 0 else high}" for v, low, high in sides if abs(v) >= 1]
+    level: Level = "warn" if distance <= 5 * tolerance.centre_px else "bad"
+    return Finding("centre", level, f"off centre: {' and '.join(words)}")
+
+
+def _exposure(sample: AlignSample, tolerance: AlignTolerance) -> Finding | None:
+    if sample.saturated_px > 0:
+        return Finding("exposure", "bad", f"saturated: shorten the exposure ({sample.saturated_px} px at white)")
+    if sample.peak is None:
+        return None
+    low, high = tolerance.peak
+    if sample.peak > high:
+        return Finding(
+            "exposure", "warn", f"nearly saturated: shorten the exposure ({100 * sample.peak:.0f} % of white)"
+        )
+    if sample.peak < low:
+        return Finding("exposure", "warn", f"dim: lengthen the exposure ({100 * sample.peak:.0f} % of white)")
+    return Finding("exposure", "good", "well exposed")
+
+
+def _focus(sample: AlignSample, tolerance: AlignTolerance, narrowest_px: float | None) -> Finding | None:
+    if sample.width_px is None or narrowest_px is None or narrowest_px <= 0:
+        return None
+    ratio = sample.width_px / narrowest_px
+    if ratio <= tolerance.width_ratio:
+        return Finding("focus", "good", "as narrow as it has been")
+    return Finding("focus", "warn", f"wider: {ratio:.2f} times the narrowest, {narrowest_px:.1f} px")
+
+
+@dataclass(frozen=True, slots=True)
+class Published:
+    """The newest sample as pages get it."""
+
+    number: int
+    at_s: float
+    text: dict[str, Any]
+    image: bytes
+
+
+class AlignFeed:
+    """Where samples are pushed and pages look. Every method suits any thread."""
+
+    def __init__(self, tolerance: AlignTolerance | None = None) -> None:
+        self._tolerance = tolerance or AlignTolerance()
+        self._lock = threading.Lock()
+        self._latest: Published | None = None
+        self._history: deque[dict[str, Any]] = deque(maxlen=_HISTORY)
+        self._narrowest_px: float | None = None
+        self._listeners: list[tuple[asyncio.AbstractEventLoop, asyncio.Event]] = []
+
+    def push(self, sample: AlignSample) -> tuple[Finding, ...]:
+        """Show a sample on every open page; returns its judgement."""
+        with self._lock:
+            if sample.width_px is not None and sample.centroid_px is not None:
+                known = self._narrowest_px
+                self._narrowest_px = sample.width_px if known is None else min(known, sample.width_px)
+            findings = judge(sample, self._tolerance, self._narrowest_px)
+            offset = sample.offset_px()
+            facts = {key: value for key, value in asdict(sample).items() if key != "image"}
+            point = {
+                "distance_px": None if offset is None else math.hypot(*offset),
+                "peak": sample.peak,
+                "width_px": sample.width_px,
+                "saturated_px": sample.saturated_px,
+            }
+            self._history.append(point)
+            number = 1 if self._latest is None else self._latest.number + 1
+            text = {
+                "type": "sample",
+                "number": number,
+                "sample": {**facts, "offset_px": offset, "distance_px": point["distance_px"]},
+                "findings": [asdict(finding) for finding in findings],
+                "narrowest_px": self._narrowest_px,
+                "tolerance": asdict(self._tolerance),
+            }
+            image = sample.image or (b"" if self._latest is None else self._latest.image)
+            self._latest = Published(number, time.monotonic(), text, image)
+            self._announce()
+            return findings
+
+    def forget_narrowest(self) -> None:
+        """Start the search for the narrowest width anew: after the stage or the lens was moved on purpose."""
+        with self._lock:
+            self._narrowest_px = None
+            self._history.clear()
+
+    def latest(self) -> Published | None:
+        """The newest sample as pages get it."""
+        with self._lock:
+            return self._latest
+
+    def history(self) -> list[dict[str, Any]]:
+        """The last samples' figures, oldest first."""
+        with self._lock:
+            return list(self._history)
+
+    def listen(self, loop: asyncio.AbstractEventLoop, event: asyncio.Event) -> Callable[[], None]:
+        """Have ``event`` set in ``loop`` at each push; returns what ends it."""
+        entry = (loop, event)
+        with self._lock:
+            self._listeners.append(entry)
+
+        def stop() -> None:
+            with self._lock:
+                self._listeners.remove(entry)
+
+        return stop
+
+    def _announce(self) -> None:
+        for loop, event in self._listeners:
+            with suppress(RuntimeError):  # the server has ended
+                loop.call_soon_threadsafe(event.set)

@@ -1,0 +1,140 @@
+"""A panel in any browser: tablet, phone, or a small computer with a monitor on the carriage."""
+
+from __future__ import annotations
+
+import threading
+import time
+from dataclasses import dataclass
+
+from rigs.errors import ConfigError, PanelError
+from rigs.panel_patterns import Picture, drawing, outside
+from rigs.panel_server import PageLink, PanelStatus, panel_application
+from rigs.protocols import DeviceIdentity, PanelAck, Pattern
+from rigs.web_server import WebServer, qr_text
+
+__all__ = ["BrowserPanel", "BrowserPanelSettings", "PanelStatus"]
+
+
+@dataclass(frozen=True, slots=True)
+class BrowserPanelSettings:
+    """Where the panel's page is served, and when an acknowledgement counts."""
+
+    host: str = "127.0.0.1"
+    """Address to listen on. Loopback: this computer only. ``0.0.0.0``: every network, always with a token."""
+    port: int = 8650
+    """0 takes a free one."""
+    token: str = ""
+    """Part of the page's address; empty: none on loopback, a fresh random one otherwise."""
+    ack_timeout_s: float = 5.0
+    require_fullscreen: bool = True
+    settle_s: float = 0.1
+    """Waited after the acknowledgement: the browser knows when its frame is out, not when the crystals have turned."""
+    heartbeat_s: float = 1.0
+    """Either side takes the other for lost after four missing beats."""
+
+    def __post_init__(self) -> None:
+        """Check what would otherwise fail late."""
+        if self.ack_timeout_s <= 0 or self.heartbeat_s <= 0 or self.settle_s < 0:
+            raise ConfigError("panel: ack_timeout and heartbeat have to be above 0 s, settle not below 0 s")
+
+
+class BrowserPanel:
+    """The page, its server, and the promise that a pattern is painted when :meth:`show` returns.
+
+    The server listens from construction to :meth:`close`.
+
+    Raises
+    ------
+    DeviceBusyError
+        The port is taken.
+    ConfigError
+        Host, port or token can't be used.
+    """
+
+    def __init__(self, settings: BrowserPanelSettings) -> None:
+        self._settings = settings
+        self._showing = threading.Lock()
+        self._link = PageLink(
+            require_fullscreen=settings.require_fullscreen,
+            heartbeat_s=settings.heartbeat_s,
+            hint="open the panel's address on the tablet, or scan the code that the workbench prints",
+        )
+        self._server = WebServer(
+            "panel", panel_application(self._link), host=settings.host, port=settings.port, token=settings.token
+        )
+
+    def urls(self) -> tuple[str, ...]:
+        """Addresses of the page, best first, with the token where there is one."""
+        return self._server.urls("panel")
+
+    def qr(self) -> str:
+        """QR code of the first address, as text for the terminal."""
+        return qr_text(self.urls()[0])
+
+    def invitation(self) -> str:
+        """What the operator needs to open the page: code and address."""
+        return f"{self.qr()}\npanel: open {self.urls()[0]} on the tablet, then tap the page once"
+
+    def status(self) -> PanelStatus:
+        """How the page is doing now; touches nothing."""
+        return self._link.status()
+
+    def wait_ready(self, timeout_s: float) -> PanelStatus:
+        """Wait until a page is connected, visible and, where required, full screen.
+
+        Raises
+        ------
+        NotAcknowledgedError
+            Not in time; says what is missing.
+        """
+        return self._link.wait_ready(timeout_s)
+
+    def identify(self) -> DeviceIdentity:
+        """Browser and screen as the page reports them; without a page, only the kind."""
+        status = self._link.status()
+        extra = {"address": status.address, "user_agent": status.user_agent}
+        if status.page is not None:
+            extra["size_px"] = f"{status.page.width_px}x{status.page.height_px}"
+            extra["device_pixel_ratio"] = f"{status.page.device_pixel_ratio:g}"
+        return DeviceIdentity(kind="browser", extra={key: value for key, value in extra.items() if value})
+
+    def show(self, pattern: Pattern) -> PanelAck:
+        """Paint a pattern; returns when the page has confirmed it and the display has settled.
+
+        A page that loses its connection meanwhile may come back and confirm within the time. Sizes are rounded to
+        whole device pixels and dots are placed on the pixel grid: a lit pixel is lit fully, whatever the screen's
+        gamma.
+
+        Raises
+        ------
+        NotAcknowledgedError
+            No page, a hidden one, one that isn't full screen, or no word from it in time.
+        PanelError
+            The pattern can't be shown: a bad value, an unreadable picture, a dot outside the panel.
+        """
+        drawn = drawing(pattern)
+        picture = Picture(pattern) if pattern.kind == "picture" else None
+        started = time.monotonic()
+        with self._showing:
+            sequence = self._link.request(drawn, picture)
+            page = self._link.wait_painted(sequence, self._settings.ack_timeout_s)
+            painted_after_s = time.monotonic() - started
+        if (point := outside(pattern, page.width_px, page.height_px)) is not None:
+            raise PanelError(
+                f"panel: a dot of {pattern.size_px:g} px at ({point[0]:g}, {point[1]:g}) isn't wholly on the panel of "
+                f"{page.width_px} x {page.height_px} px (origin at its centre); move it inwards"
+            )
+        time.sleep(self._settings.settle_s)
+        return PanelAck(
+            pattern=pattern,
+            width_px=page.width_px,
+            height_px=page.height_px,
+            device_pixel_ratio=page.device_pixel_ratio,
+            fullscreen=page.fullscreen,
+            painted_after_s=painted_after_s,
+        )
+
+    def close(self) -> None:
+        """Stop the server and free the port; safe to call twice."""
+        self._link.close()
+        self._server.close()
