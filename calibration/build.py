@@ -48,6 +48,8 @@ class PointFrame:
     """Files, or images developed already; several are repeats."""
     dot_mm: float = 0.0
     """Diameter of the dot on the panel; 0 where unknown or negligible."""
+    offs: tuple[Source, ...] = ()
+    """Frames with the point off, same place and exposure: subtracted here instead of the common dark frames."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,7 +135,8 @@ def build_bank(
     pitch: float | None = None
     for frame in frames:
         repeats: list[list[PointImage]] = []
-        for image in _developed(frame.sources, dark_by_shape, options):
+        dark_here = _average_darks(frame.offs, options) if frame.offs else dark_by_shape
+        for image in _developed(frame.sources, dark_here, options):
             infos.append((frame.depth_nominal_mm, image.info))
             pitch = _same_camera(infos, pitch, image)
             try:
