@@ -1,0 +1,331 @@
+"""The PSF at any depth: one picture of the pupil, scaled in 1/z, fitted to all measured PSFs of a bank.
+
+A thin lens images a point to a copy of its pupil whose signed radius is linear in 1/z (METHOD Eq. 1). With the pupil's
+picture ``T``, a Gaussian core for everything that doesn't scale (diffraction, aberration, the renderer's pixel filter)
+and the chief ray's place, the PSF between and beyond the measured planes is integrated over pixels without sampling
+error (:func:`calibration.template.render`). Where the measured PSFs don't follow that picture, because the pupil's
+outline changes with depth (a lens that vignettes) or its edges ring, :class:`PsfInterpolator` blends the two measured
+neighbours, each scaled to the radius in between.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any, Protocol
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from calibration.bank import Bank
+from calibration.errors import FitError
+from calibration.lens_fit import LensFit
+from calibration.template import HALF_EXTENT, Spot, fit_spots, render
+
+__all__ = ["PsfInterpolator", "PsfModel", "PupilModel", "fit_pupil", "psf_model", "pupil_of_bank"]
+
+FloatArray = NDArray[np.float64]
+
+GOOD_RESIDUAL = 0.15
+"""A pupil model whose median residual (root of residual power over the PSF's power, noise removed) is larger than
+this describes the bank worse than blending neighbours does."""
+_PREFIX = "pupil_"
+_ENDS = 1e-9
+
+
+class PsfModel(Protocol):
+    """A PSF for every depth."""
+
+    @property
+    def residual(self) -> FloatArray:
+        """float64 (D,): root of residual power over PSF power per measured depth, noise removed."""
+        ...
+
+    def radius_px(self, depth_mm: float) -> float:
+        """Signed radius (px) of the pupil's image."""
+        ...
+
+    def psf_at(self, depth_mm: float, size: int | None = None) -> NDArray[np.float32]:
+        """PSF at a depth, float32 (K, K), unit sum."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class PupilModel:
+    """Pupil, lens line, core and chief ray of one set of PSFs.
+
+    Attributes
+    ----------
+    template
+        float64 (N, N), sums to 1: the pupil within +-``half_extent`` radii, oriented as the PSF beyond focus.
+    half_extent
+        Half side of the template in radii.
+    radius_line
+        (intercept, slope): radius in px is intercept + slope / depth_mm.
+    core_px
+        Standard deviation of the Gaussian core besides the pixel's box.
+    chief_line
+        float64 (2, 2): (intercept, slope) over 1/depth of the chief ray's row and column relative to the centre pixel.
+    size
+        Default side K of a PSF.
+    depths_mm, residual
+        float64 (D,): the depths it was fitted to and what is left there (see :class:`PsfModel`).
+    """
+
+    template: FloatArray
+    half_extent: float
+    radius_line: tuple[float, float]
+    core_px: float
+    chief_line: FloatArray
+    size: int
+    depths_mm: FloatArray = field(default_factory=lambda: np.zeros(0))
+    residual: FloatArray = field(default_factory=lambda: np.zeros(0))
+
+    def radius_px(self, depth_mm: float) -> float:
+        """Signed radius (px) of the pupil's image at a depth; negative nearer than focus."""
+        return self.radius_line[0] + self.radius_line[1] / depth_mm
+
+    def chief_yx(self, depth_mm: float) -> tuple[float, float]:
+        """Row and column of the chief ray relative to the centre pixel."""
+        place = self.chief_line[:, 0] + self.chief_line[:, 1] / depth_mm
+        return float(place[0]), float(place[1])
+
+    def psf_at(self, depth_mm: float, size: int | None = None) -> NDArray[np.float32]:
+        """PSF at any depth (mm), float32 (K, K) of unit sum, integrated over pixels; K is made odd."""
+        k = (size or self.size) | 1
+        dy, dx = self.chief_yx(depth_mm)
+        picture = render(
+            self.template,
+            self.half_extent,
+            (k, k),
+            radius=self.radius_px(depth_mm),
+            centre=(k // 2 + dy, k // 2 + dx),
+            core=self.core_px,
+        )
+        return np.asarray(picture / max(float(picture.sum()), 1e-12), np.float32)
+
+    def as_arrays(self) -> dict[str, NDArray[Any]]:
+        """Plain arrays by name, for a bank's extras."""
+        numbers = np.array([self.half_extent, *self.radius_line, self.core_px, *self.chief_line.ravel(), self.size])
+        values = {
+            "template": self.template,
+            "numbers": numbers,
+            "depths_mm": self.depths_mm,
+            "residual": self.residual,
+        }
+        return {_PREFIX + name: np.asarray(value, np.float64) for name, value in values.items()}
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> PupilModel:
+        """Inverse of :meth:`as_arrays`; other names are ignored.
+
+        Raises
+        ------
+        KeyError
+            An array is missing.
+        """
+        numbers = np.asarray(arrays[_PREFIX + "numbers"], np.float64)
+        return cls(
+            template=np.asarray(arrays[_PREFIX + "template"], np.float64),
+            half_extent=float(numbers[0]),
+            radius_line=(float(numbers[1]), float(numbers[2])),
+            core_px=float(numbers[3]),
+            chief_line=numbers[4:8].reshape(2, 2),
+            size=int(numbers[8]),
+            depths_mm=np.asarray(arrays[_PREFIX + "depths_mm"], np.float64),
+            residual=np.asarray(arrays[_PREFIX + "residual"], np.float64),
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class PsfInterpolator:
+    """Blend of the two measured neighbours in 1/z, each scaled about its chief ray to the radius in between.
+
+    Attributes
+    ----------
+    depths_mm
+        float64 (D,), ascending.
+    psf
+        float32 (D, K, K).
+    radius_line
+        As in :class:`PupilModel`.
+    chief_yx
+        float64 (D, 2): chief ray relative to the centre pixel.
+    residual
+        float64 (D,): leave-one-out error of the blend.
+    """
+
+    depths_mm: FloatArray
+    psf: NDArray[np.float32]
+    radius_line: tuple[float, float]
+    chief_yx: FloatArray
+    residual: FloatArray = field(default_factory=lambda: np.zeros(0))
+
+    def radius_px(self, depth_mm: float) -> float:
+        """Signed radius (px) of the pupil's image at a depth; negative nearer than focus."""
+        return self.radius_line[0] + self.radius_line[1] / depth_mm
+
+    def psf_at(self, depth_mm: float, size: int | None = None) -> NDArray[np.float32]:
+        """PSF at any depth (mm), float32 (K, K) of unit sum; beyond the ends the last plane is scaled."""
+        right = int(np.clip(np.searchsorted(self.depths_mm, depth_mm), 1, len(self.depths_mm) - 1))
+        u = 1.0 / self.depths_mm[[right - 1, right]]
+        share = float(np.clip((u[0] - 1.0 / depth_mm) / (u[0] - u[1]), 0.0, 1.0))
+        k = (size or self.psf.shape[1]) | 1
+        parts = [
+            weight * self._scaled(index, self.radius_px(depth_mm), k)
+            for weight, index in ((1.0 - share, right - 1), (share, right))
+            if weight > _ENDS
+        ]
+        blend = np.maximum(np.sum(parts, axis=0), 0.0)
+        return np.asarray(blend / max(float(blend.sum()), 1e-12), np.float32)
+
+    def _scaled(self, index: int, radius: float, size: int) -> FloatArray:
+        own = self.radius_px(float(self.depths_mm[index]))
+        # close to focus the core, which doesn't scale, is most of the PSF; a side never turns into the other
+        scale = float(np.clip(radius / own, 0.5, 2.0)) if own * radius > 0 and min(abs(own), abs(radius)) > 1.0 else 1.0
+        old, new = self.psf.shape[1] // 2, size // 2
+        dy, dx = self.chief_yx[index]
+        fine = 3  # sub-pixels a side: area average of the scaled picture
+        grid = (np.arange(size * fine) - (size * fine - 1) / 2.0) / fine / scale
+        rows, columns = np.meshgrid(grid + old + dy * (1 - 1 / scale), grid + old + dx * (1 - 1 / scale), indexing="ij")
+        picture = cv2.remap(
+            self.psf[index], columns.astype(np.float32), rows.astype(np.float32), cv2.INTER_LINEAR, borderValue=0
+        )
+        binned = picture.reshape(2 * new + 1, fine, 2 * new + 1, fine).mean(axis=(1, 3))
+        return np.asarray(binned / max(float(binned.sum()), 1e-12), np.float64)
+
+
+def fit_pupil(
+    depths_mm: FloatArray, psf: NDArray[np.float32], psf_se: NDArray[np.float32], lens: LensFit
+) -> PupilModel:
+    """Fit one pupil, core and lens line to a set of measured PSFs.
+
+    Parameters
+    ----------
+    depths_mm
+        float64 (D,), D >= 3.
+    psf, psf_se
+        float32 (D, K, K): PSFs of unit sum and their standard errors (0 where nothing was measured).
+    lens
+        The lens fit of the set: its line gives the radius between the planes.
+
+    Returns
+    -------
+    PupilModel
+        With its residual per depth.
+
+    Raises
+    ------
+    FitError
+        The PSFs are all alike.
+    """
+    floor = np.maximum(psf_se.max(axis=(1, 2)), 1e-9)
+    spots = [
+        Spot(np.asarray(p, np.float64), np.where(s > 0, s, f).astype(np.float64))
+        for p, s, f in zip(psf, psf_se, floor, strict=True)
+    ]
+    fit = fit_spots(spots, 1.0 / np.asarray(depths_mm, np.float64))
+    half = psf.shape[1] // 2
+    chief = np.array([(s.centre_y - half, s.centre_x - half) for s in fit.spots])
+    model = _assemble(fit.template, fit.core_px, np.asarray(depths_mm, np.float64), chief, lens, psf.shape[1])
+    return replace(model, residual=_residual(model, psf, psf_se))
+
+
+def pupil_of_bank(bank: Bank, field_index: int | None = None) -> PupilModel:
+    """The pupil model of one field position of a bank (default: its centre).
+
+    The picture of the aperture and the chief rays that were found when the bank was made are used where the bank
+    holds them; otherwise they are fitted again.
+    """
+    index = bank.central_index if field_index is None else field_index
+    psf, se = bank.psf[index], bank.psf_se[index]
+    if _PREFIX + "numbers" in bank.extras and index == bank.central_index:
+        return PupilModel.from_arrays(bank.extras)
+    lens = _lens_of(bank, index)
+    cores = bank.manifest.get("aperture", {}).get("core_px")
+    if "aperture" not in bank.extras or "chief_yx" not in bank.extras or not cores:
+        return fit_pupil(bank.depths_mm, psf, se, lens)
+    template = np.asarray(bank.extras["aperture"], np.float64)
+    chief = np.asarray(bank.extras["chief_yx"][index], np.float64)
+    if index != bank.central_index:
+        return fit_pupil(bank.depths_mm, psf, se, lens)  # off axis the lens barrel trims the pupil: its own picture
+    model = _assemble(template, float(cores[index]), bank.depths_mm, chief, lens, psf.shape[1])
+    return replace(model, residual=_residual(model, psf, se))
+
+
+def psf_model(bank: Bank, field_index: int | None = None) -> PsfModel:
+    """The best model of a bank's PSFs: the pupil where it fits, else interpolation between the planes."""
+    index = bank.central_index if field_index is None else field_index
+    blend = interpolator_of_bank(bank, index)
+    try:
+        pupil = pupil_of_bank(bank, index)
+    except FitError:
+        return blend
+    return pupil if np.median(pupil.residual) <= max(GOOD_RESIDUAL, float(np.median(blend.residual))) else blend
+
+
+def interpolator_of_bank(bank: Bank, field_index: int) -> PsfInterpolator:
+    """Interpolation between the measured planes of one field position, with its leave-one-out error."""
+    chief = bank.extras.get("chief_yx")
+    places = np.zeros((bank.depths_mm.size, 2)) if chief is None else np.asarray(chief[field_index], np.float64)
+    line = _radius_line(bank.depths_mm, _lens_of(bank, field_index))
+    whole = PsfInterpolator(bank.depths_mm, bank.psf[field_index], line, places)
+    residual = np.full(bank.depths_mm.size, np.nan)
+    for i in range(1, bank.depths_mm.size - 1):
+        rest = np.delete(np.arange(bank.depths_mm.size), i)
+        partial = PsfInterpolator(bank.depths_mm[rest], bank.psf[field_index][rest], line, places[rest])
+        predicted = partial.psf_at(float(bank.depths_mm[i]))
+        residual[i] = _misfit(predicted, bank.psf[field_index][i], bank.psf_se[field_index][i])
+    residual[[0, -1]] = residual[[1, -2]]
+    return replace(whole, residual=residual)
+
+
+def _lens_of(bank: Bank, index: int) -> LensFit:
+    radii = bank.extras.get("field_radius_px")
+    if index == bank.central_index or radii is None:
+        return bank.lens
+    slope, intercept = np.polyfit(1.0 / bank.depths_mm, np.asarray(radii[index], np.float64), 1)
+    return replace(bank.lens, focus_mm=float(-slope / intercept), scale_px=float(intercept))
+
+
+def _radius_line(depths_mm: FloatArray, lens: LensFit) -> tuple[float, float]:
+    slope, intercept = np.polyfit(1.0 / depths_mm, lens.sigma_px(depths_mm), 1)
+    return float(intercept), float(slope)
+
+
+def _assemble(
+    template: FloatArray, core_px: float, depths_mm: FloatArray, chief_yx: FloatArray, lens: LensFit, size: int
+) -> PupilModel:
+    # robust lines: the chief ray moves in proportion to 1/z where the stage isn't quite parallel to the axis
+    u = 1.0 / depths_mm
+    lines = []
+    for k in (0, 1):
+        keep = np.ones(u.size, np.bool_)
+        for _ in range(3):
+            slope, intercept = np.polyfit(u[keep], chief_yx[keep, k], 1)
+            left = np.abs(chief_yx[:, k] - intercept - slope * u)
+            keep = left <= max(3.0 * float(np.median(left)), 1e-6)
+            if keep.sum() < 3:
+                break
+        lines.append((float(intercept), float(slope)))
+    return PupilModel(
+        template=template,
+        half_extent=HALF_EXTENT,
+        radius_line=_radius_line(depths_mm, lens),
+        core_px=core_px,
+        chief_line=np.array(lines),
+        size=size,
+        depths_mm=depths_mm,
+    )
+
+
+def _residual(model: PupilModel, psf: NDArray[np.float32], psf_se: NDArray[np.float32]) -> FloatArray:
+    return np.array(
+        [_misfit(model.psf_at(float(z)), p, s) for z, p, s in zip(model.depths_mm, psf, psf_se, strict=True)]
+    )
+
+
+def _misfit(predicted: NDArray[np.float32], psf: NDArray[np.float32], se: NDArray[np.float32]) -> float:
+    power = float(((predicted - psf) ** 2).sum()) - float((se**2).sum())
+    return float(np.sqrt(max(power, 0.0) / max(float((psf**2).sum()), 1e-30)))
