@@ -83,7 +83,7 @@ def judge(sample: AlignSample, tolerance: AlignTolerance, narrowest_px: float | 
     narrowest_px
         Smallest width seen so far, pixels; None: not known.
     """
-    findings = [_exposure(sample, tolerance), _centre(sample, tolerance), _focus(sample, tolerance, narrowest_px)]
+    findings = [_centre(sample, tolerance), _exposure(sample, tolerance), _focus(sample, tolerance, narrowest_px)]
     urgency = {"bad": 0, "warn": 1, "good": 2}
     return tuple(sorted((f for f in findings if f is not None), key=lambda finding: urgency[finding.level]))
 
@@ -96,7 +96,7 @@ def _centre(sample: AlignSample, tolerance: AlignTolerance) -> Finding:
     if distance <= tolerance.centre_px:
         return Finding("centre", "good", f"centred within {tolerance.centre_px:g} px")
     sides = ((offset[0], "left", "right"), (offset[1], "up", "down"))
-    words = [f"{abs(v):.0f} px {low if v < 0 else high}" for v, low, high in sides if abs(v) >= 1]
+    words = [f"{math.floor(abs(v) + 0.5)} px {low if v < 0 else high}" for v, low, high in sides if abs(v) >= 1]
     level: Level = "warn" if distance <= 5 * tolerance.centre_px else "bad"
     return Finding("centre", level, f"off centre: {' and '.join(words)}")
 
@@ -155,18 +155,15 @@ class AlignFeed:
             findings = judge(sample, self._tolerance, self._narrowest_px)
             offset = sample.offset_px()
             facts = {key: value for key, value in asdict(sample).items() if key != "image"}
-            point = {
-                "distance_px": None if offset is None else math.hypot(*offset),
-                "peak": sample.peak,
-                "width_px": sample.width_px,
-                "saturated_px": sample.saturated_px,
-            }
-            self._history.append(point)
             number = 1 if self._latest is None else self._latest.number + 1
+            distance = None if offset is None else math.hypot(*offset)
+            point = {"number": number, "distance_px": distance}
+            point |= {key: facts[key] for key in ("peak", "width_px", "saturated_px")}
+            self._history.append(point)
             text = {
                 "type": "sample",
                 "number": number,
-                "sample": {**facts, "offset_px": offset, "distance_px": point["distance_px"]},
+                "sample": {**facts, "offset_px": offset, "distance_px": distance},
                 "findings": [asdict(finding) for finding in findings],
                 "narrowest_px": self._narrowest_px,
                 "tolerance": asdict(self._tolerance),
