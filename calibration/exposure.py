@@ -40,9 +40,9 @@ class ExposureChoice:
 def meter(image: LinearImage) -> Metered:
     """Meter a developed frame: its brightest real pixel.
 
-    A single hot photosite must not set the exposure, so the peak is the brightest value of each pixel's second
-    brightest channel, scaled by the ratio of the channels' own peaks in that neighbourhood; for one channel, the
-    brightest value that has a neighbour of at least a tenth of it.
+    A single hot photosite must not set the exposure: the place is that of the brightest second-brightest channel
+    (a point lights all channels, a hot photosite one); with one channel, of the brightest value that has a neighbour
+    of at least a tenth of it. The peak is the brightest channel there.
     """
     planes = image.planes
     values = planes.reshape(-1, planes.shape[2])

@@ -121,7 +121,7 @@ def fit_lens(nominal_mm: FloatArray, radius_px: FloatArray, radius_se_px: FloatA
         free = _robust_fit(nominal_mm, radius_px, radius_se_px, free_zero=True)
     chosen = free if apply_zero and free is not None else fixed
     spread = float(np.ptp(radius_px))
-    if not chosen.focus_mm > 0 or not chosen.scale_px > 0 or chosen.typical_px > 0.2 * spread:
+    if not chosen.focus_mm > 0 or not chosen.scale_px > 0 or chosen.typical_px > 0.05 * spread + 0.1:
         raise FitError(
             f"the radii don't follow a thin lens (typical residual {chosen.typical_px:.2f} px of {spread:.1f} px): "
             "check that depths and files belong together and that focus was not touched"

@@ -58,6 +58,8 @@ def _load(path: Path) -> NDArray[Any]:
 
 
 def _as_hwc(path: Path, array: NDArray[Any]) -> NDArray[Any]:
+    if array.size == 0:
+        raise FrameError(f"{path}: holds no image; save it again")
     if array.ndim == 2:
         return array[:, :, np.newaxis]
     if array.ndim == 3 and array.shape[2] in (1, 3):

@@ -201,10 +201,11 @@ def _candidates(
 ) -> tuple[NDArray[np.int32], list[tuple[slice, slice]], NDArray[np.float64]]:
     """Connected areas above the noise at any box size, with their bounding boxes and fluxes."""
     mask = (flat > options.detect_snr * noise).astype(np.uint8)
-    rest = flat.copy()
+    # light that is plain to see in single pixels must not spread over the larger boxes, which look for faint light
+    rest = np.minimum(flat, np.float32(2.0 * noise))
+    bright = (flat > 3.0 * options.detect_snr * noise).astype(np.uint8)
+    rest[cv2.dilate(bright, np.ones((3, 3), np.uint8)) > 0] = 0.0
     for box in _BOXES[1:]:
-        # what smaller boxes have found must not spread over larger ones
-        rest[cv2.dilate(mask, np.ones((3, 3), np.uint8)) > 0] = 0.0
         mean = cv2.blur(rest, (box, box), borderType=cv2.BORDER_REFLECT_101)
         mask |= (mean > options.detect_snr * noise / box).astype(np.uint8)
     joined = cv2.morphologyEx(mask, cv2.MORPH_CLOSE, np.ones((5, 5), np.uint8))

@@ -148,8 +148,8 @@ def fit_spots(spots: Sequence[Spot], inverse_depth: FloatArray, *, rounds: int =
     spots = [_soften(spot) for spot in spots]
     biggest = int(np.argmax(np.abs(radii)))
     size = abs(radii[biggest])
-    if size < 1.5:
-        raise FitError("every point is in focus (blur radius below 1.5 px): spread the depths, or focus elsewhere")
+    if size < 2.5:
+        raise FitError("every point is in focus (blur radius below 2.5 px): spread the depths, or focus elsewhere")
     n_cells = int(np.clip(np.ceil(2 * HALF_EXTENT * size / 0.7), 40, 160))
     core = MIN_CORE_PX
     template = _start_template(spots[biggest], n_cells, radii[biggest], centres[biggest])

@@ -7,7 +7,10 @@ from typing import Any
 
 import numpy as np
 import tifffile
+from matplotlib.path import Path as Outline
 from numpy.typing import NDArray
+
+from calibration.image import FrameInfo, LinearImage
 
 BLACK, WHITE = 512, 15000
 
@@ -62,32 +65,52 @@ def write_dng(
 
 
 def draw_psf(
-    radius: float, shape: tuple[int, int], centre: tuple[float, float], core: float = 0.0, samples: int = 400_000
+    radius: float,
+    shape: tuple[int, int],
+    centre: tuple[float, float],
+    core: float = 0.0,
+    samples: int = 400_000,
+    dot: float = 0.0,
 ) -> NDArray[np.float64]:
-    """Image of unit flux of the seven: random points of the pupil, traced to pixels one by one."""
-    from matplotlib.path import Path as Outline
-
+    """Image of unit flux of the seven: random points of pupil, core and dot (a disc), counted pixel by pixel."""
     rng = np.random.default_rng(1)
     points = rng.uniform(-1, 1, (3 * samples, 2))
     points = points[Outline(SEVEN).contains_points(points)][:samples]
+    angle, reach = rng.uniform(0, 2 * np.pi, len(points)), dot * np.sqrt(rng.uniform(0, 1, len(points)))
     place = points[:, ::-1] * radius + core * rng.standard_normal(points.shape) + np.array(centre)
+    place += np.stack([reach * np.sin(angle), reach * np.cos(angle)], axis=1)
     image, _, _ = np.histogram2d(
         place[:, 0], place[:, 1], bins=shape, range=[[-0.5, shape[0] - 0.5], [-0.5, shape[1] - 0.5]]
     )
     return np.asarray(image / len(points), np.float64)
 
 
-def mosaic_of(
-    linear: NDArray[np.float64], *, gains: tuple[float, float, float] = (0.6, 1.0, 0.7), seed: int | None = 0
-) -> NDArray[np.uint16]:
-    """RGGB mosaic of a luminance image of superpixels (fractions of white), with shot and read noise if seeded."""
-    height, width = linear.shape
-    mosaic = np.zeros((2 * height, 2 * width))
-    for (y, x), gain in zip(((0, 0), (0, 1), (1, 0), (1, 1)), (gains[0], gains[1], gains[1], gains[2]), strict=True):
-        mosaic[y::2, x::2] = linear * gain
-    counts = mosaic * (WHITE - BLACK)
-    if seed is not None:
-        rng = np.random.default_rng(seed)
-        electrons = 2.0  # per count
-        counts = rng.poisson(np.maximum(counts, 0) * electrons) / electrons + 2.0 * rng.standard_normal(counts.shape)
-    return np.clip(np.round(counts + BLACK), 0, 16383).astype(np.uint16)
+FOCUS_MM, SCALE_PX = 1600.0, 13.0
+DEPTHS_MM = (600.0, 800.0, 1000.0, 1300.0, 1500.0, 1800.0, 2200.0, 2800.0, 3500.0)
+
+
+def point_image(
+    depth_mm: float,
+    *,
+    zero_mm: float = 0.0,
+    core: float = 0.4,
+    peak: float = 0.6,
+    centre: tuple[float, float] = (48.2, 47.9),
+    size: int = 96,
+    dot_radius_px: float = 0.0,
+    seed: int = 0,
+) -> LinearImage:
+    """A white point through the seven, drawn ray by ray, with noise; a superpixel image of 8.6 um pixels."""
+    radius = SCALE_PX * (1 - FOCUS_MM / (depth_mm + zero_mm))
+    drawn = draw_psf(radius, (size, size), centre, core, samples=60_000, dot=dot_radius_px)
+    return as_frame(drawn / drawn.max() * peak, name=f"psf_{depth_mm / 10:03.0f}cm.dng", seed=seed + int(depth_mm))
+
+
+def as_frame(light: NDArray[np.float64], *, name: str = "frame.dng", seed: int = 0) -> LinearImage:
+    """Coloured, noisy frame of a luminance picture (fractions of white)."""
+    rng = np.random.default_rng(seed)
+    planes = np.stack([light * gain for gain in (0.6, 1.0, 0.7)], axis=-1)
+    planes += rng.standard_normal(planes.shape) * np.sqrt(1e-7 + 4e-5 * planes)
+    size = (2 * light.shape[0], 2 * light.shape[1])
+    info = FrameInfo(name, f"{name}-{seed}", model="Body", raw_size=size, cfa="RGGB", focal_length_mm=50.0)
+    return LinearImage(planes.astype(np.float32), planes.max(axis=2) >= 0.99, "superpixel", 0.0086, info)
