@@ -60,8 +60,8 @@ def speed_table(
     """Time Richardson-Lucy deconvolution.
 
     Ours with dark borders treats them as scikit-image does, so their results are compared; ours with weighted borders
-    is what measuring uses. The floor is the same number of forward and inverse real transforms (two each an iteration) of
-    the padded shape, in single precision, and nothing else. Our times hold everything from pixels to pixels: OTF,
+    is what measuring uses. The floor is the same number of forward and inverse real transforms (two each an iteration)
+    of the padded shape, in single precision, and nothing else. Our times hold everything from pixels to pixels: OTF,
     weights, and the image's own transform. scikit-image always runs on one thread but for its transforms.
 
     Parameters

@@ -1,8 +1,9 @@
 """The all-focus image and the depth map of a measured photograph.
 
-Every depth that occurs is deconvolved once, from the pixels of its own regions alone: what lies outside is unobserved
-(the weights of :mod:`workbench.depth.richardson_lucy`), so that a bright neighbour at another depth neither rings into
-a region nor darkens its edge. The results are blended over a few pixels with weights that sum to one.
+Every depth that occurs is deconvolved once, from the pixels of its own regions alone: what lies outside, or is
+saturated, is unobserved (the weights of :mod:`workbench.depth.richardson_lucy`), so that a bright neighbour at another
+depth neither rings into a region nor darkens its edge. Where those pixels say next to nothing about the scene, the
+photograph itself stands in. The results are blended over a few pixels with weights that sum to one.
 """
 
 from __future__ import annotations
@@ -19,6 +20,8 @@ from workbench.depth.estimate import DepthEstimate
 from workbench.depth.richardson_lucy import Deconvolver
 
 _REACH_SIGMAS = 3
+_TRUSTED = 0.25
+"""A pixel of the scene counts as fully known when this part of its light was observed: a corner of the frame has it."""
 
 
 def depth_map(labels: NDArray[np.int32], estimates: Mapping[int, DepthEstimate]) -> NDArray[np.float32]:
@@ -37,7 +40,7 @@ def all_focus(
     estimates: Mapping[int, DepthEstimate],
     *,
     iterations: int = 20,
-    feather_px: float = 2.0,
+    feather_px: float = 1.0,
     workers: int = 1,
 ) -> NDArray[np.float32]:
     """Deconvolve each region with the PSF of its depth.
@@ -78,15 +81,15 @@ def all_focus(
         weight = cv2.GaussianBlur(mask, (0, 0), feather_px) if feather_px > 0 else mask
         reach = int(np.ceil(_REACH_SIGMAS * feather_px))
         box = _box(mask, reach)
-        observed = cv2.dilate(mask[box], np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)) > 0
-        # The blend ends where the observed pixels do.
-        local = np.where(observed, weight[box], np.float32(0))
-        observed &= ~image.saturated[box]
+        local = weight[box]
+        observed = (mask[box] > 0) & ~image.saturated[box]
         deconvolver = Deconvolver((local.shape[0], local.shape[1]), bank.psf.shape[-1], mask=observed, workers=workers)
         kernel = deconvolver.kernel(bank.central[index])
+        trust = np.minimum(deconvolver.observed_fraction(kernel) / np.float32(_TRUSTED), np.float32(1))
         for channel in range(image.planes.shape[2]):
-            sharp = deconvolver.richardson_lucy(image.planes[*box, channel], kernel, iterations)
-            blended[*box, channel] += local * sharp
+            plane = image.planes[*box, channel]
+            sharp = deconvolver.richardson_lucy(plane, kernel, iterations)
+            blended[*box, channel] += local * (plane + trust * (sharp - plane))
         weights[box] += local
     return np.asarray(blended / weights[:, :, None])
 

@@ -171,6 +171,12 @@ class Deconvolver:
         np.maximum(weight, np.float32(self._weight_floor), out=weight)
         return Kernel(otf, np.reciprocal(weight, out=weight))
 
+    def observed_fraction(self, kernel: Kernel) -> FloatImage:
+        """float32 (H, W): part of the light of each pixel of the scene that falls on observed pixels, at least eps."""
+        if kernel.inverse_weight is None:
+            return np.ones(self.shape, np.float32)
+        return np.reciprocal(kernel.inverse_weight[: self.shape[0], : self.shape[1]])
+
     def richardson_lucy(
         self,
         image: PreparedImage | NDArray[np.floating],
