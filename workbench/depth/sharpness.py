@@ -26,6 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.bank import Bank
+from calibration.errors import MismatchError
 from calibration.image import LinearImage
 from calibration.optics import mirror_depth
 from workbench.depth.estimate import DepthEstimate, Status
@@ -125,8 +126,8 @@ class Denoised:
 
     Attributes
     ----------
-    values
-        float64 (n,) normalised magnitudes of the region's pixels.
+    total
+        Sum of the map over the region, by which it was divided; what follows is in units of it.
     section_ends
         float64 (sections + 1,) magnitudes at equal steps of the cumulative distribution, from its least to its largest.
     threshold
@@ -135,7 +136,7 @@ class Denoised:
         Mean of the kept values (Eq. 8); 0 for a map without any edge.
     """
 
-    values: FloatArray
+    total: float
     section_ends: FloatArray
     threshold: float
     score: float
@@ -178,7 +179,9 @@ def estimate_sharpness(
     Raises
     ------
     ValueError
-        Labels of another size than the image; a lambda in mm for a bank that doesn't state its pixel pitch.
+        Labels of another size than the image.
+    MismatchError
+        A lambda in mm for a bank that doesn't state its pixel pitch.
     """
     options = options or SharpnessOptions()
     if regions.shape != image.shape:
@@ -247,25 +250,30 @@ def denoise(window_sums: NDArray[np.floating], options: SharpnessOptions) -> Den
     options
         ``sections``, ``increment_ratio`` and ``fallback_cdf`` are used.
     """
-    values = np.asarray(window_sums, np.float64)
-    total = values.sum()
+    ordered = np.sort(np.asarray(window_sums, np.float32))
+    total = float(ordered.sum(dtype=np.float64))
     fractions = np.linspace(0.0, 1.0, options.sections + 1)
     if not total > 0:
-        return Denoised(np.zeros_like(values), np.zeros_like(fractions), 0.0, 0.0)
-    values = values / total
-    ends = np.quantile(values, fractions)
+        return Denoised(0.0, np.zeros_like(fractions), 0.0, 0.0)
+    ranks = np.arange(len(ordered))
+
+    def magnitude(fraction: FloatArray) -> FloatArray:
+        return np.interp(fraction * (len(ordered) - 1), ranks, ordered)
+
+    ends = magnitude(fractions)
     spans = np.diff(ends)
     qualified = np.flatnonzero(spans[1:] >= options.increment_ratio * spans[:-1])
-    threshold = float(ends[qualified[0] + 1] if len(qualified) else np.quantile(values, options.fallback_cdf))
-    kept = values[values > threshold]
-    return Denoised(values, ends, threshold, float(kept.mean()) if len(kept) else 0.0)
+    threshold = float(ends[qualified[0] + 1] if len(qualified) else magnitude(np.array(options.fallback_cdf)))
+    kept = ordered[np.searchsorted(ordered, threshold, side="right") :]
+    score = float(kept.mean(dtype=np.float64)) / total if len(kept) else 0.0
+    return Denoised(total, ends / total, threshold / total, score)
 
 
 def _sigma_mm(bank: Bank, options: SharpnessOptions) -> FloatArray:
     sigma_px = bank.lens.sigma_px(bank.depths_mm)
     if bank.pixel_pitch_mm is None:
         if options.lambda_reading != "none":
-            raise ValueError(
+            raise MismatchError(
                 f"lambda_reading = {options.lambda_reading} needs radii in mm, but the bank doesn't know its pixel "
                 "pitch; state the pitch when the bank is made, or use lambda_reading = none"
             )
@@ -413,9 +421,8 @@ def _diagnostics(region: _Region, options: SharpnessOptions) -> dict[str, FloatA
     found: dict[str, FloatArray] = {}
     for name, window_sums in edge_maps(region.best_deconvolved, options.window).items():
         result = denoise(window_sums[region.inside], options)
-        picture = np.zeros(region.inside.shape)
-        picture[region.inside] = result.values
-        counts, edges = np.histogram(result.values, bins=64)
+        picture = np.where(region.inside, window_sums / (result.total or 1.0), 0.0)
+        counts, edges = np.histogram(picture[region.inside], bins=64)
         found |= {
             f"window_{name}": _reduced(picture, options.diagnostics_side),
             f"denoised_{name}": _reduced(np.where(picture > result.threshold, picture, 0.0), options.diagnostics_side),

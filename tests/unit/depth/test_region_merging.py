@@ -114,6 +114,34 @@ def test_photograph_is_segmented_at_its_own_size_whatever_the_working_size() -> 
         assert list(counts[1:]) == sorted(counts[1:], reverse=True)
 
 
+def test_defocused_textured_objects_come_out_whole() -> None:
+    """Noise, bricks and text on coloured grounds, each blurred by its own amount."""
+    rng = np.random.default_rng(2)
+    height, width = 240, 320
+    noise = rng.normal(0, 1, (height, width)).astype(np.float32)
+    grain = cv2.GaussianBlur(noise, (0, 0), 2)
+    y, x = np.mgrid[:height, :width]
+    bricks = np.where((y % 16 < 2) | ((x + 16 * (y // 16 % 2)) % 32 < 2), 1.6, 1.0)
+    text = np.where((grain > grain.std() * 1.3) & (y % 12 < 6), 0.4, 1.0)
+    truth = np.zeros((height, width), np.int32)
+    truth[60:200, 30:130] = 1
+    truth[40:180, 180:300] = 2
+    planes = np.zeros((height, width, 3), np.float32)
+    layers = [
+        ((0.15, 0.17, 0.2), bricks, 3.0),
+        ((0.45, 0.2, 0.1), 1 + 0.3 * grain / grain.std(), 1.5),
+        ((0.6,) * 3, text, 4),
+    ]
+    for label, (colour, texture, sigma) in enumerate(layers):
+        layer = cv2.GaussianBlur(texture[:, :, None] * np.array(colour), (0, 0), sigma)
+        coverage = cv2.GaussianBlur((truth == label).astype(np.float64), (0, 0), sigma)[:, :, None]
+        planes += (layer * coverage).astype(np.float32)
+    image = as_image(planes + rng.normal(0, 0.004, planes.shape).astype(np.float32))
+    labels = srm(image)
+    assert labels.max() <= 6
+    assert agreement(labels - 1, truth) > 0.9
+
+
 def test_dark_objects_are_told_apart_on_linear_data() -> None:
     plane = np.full((100, 100, 3), 0.05, np.float32)
     plane[:, 50:] = 0.004
