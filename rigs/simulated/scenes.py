@@ -1,0 +1,119 @@
+"""Ready scenes by name."""
+
+from __future__ import annotations
+
+import math
+import re
+
+from rigs.errors import ConfigError
+from rigs.simulated.scene import Colour, Scene, SceneObject
+from rigs.simulated.textures import TEXTURES
+
+_WALL_MM, _FRONT_MM = 3500.0, 800.0
+_TABLE_TOP, _TABLE_BOTTOM = 0.60, 1.0
+
+
+def rectangle(x0: float, y0: float, x1: float, y1: float) -> tuple[tuple[float, float], ...]:
+    """Outline of an upright rectangle."""
+    return ((x0, y0), (x1, y0), (x1, y1), (x0, y1))
+
+
+def plane_scene(
+    texture_name: str,
+    depth_mm: float,
+    *,
+    seed: int = 0,
+    depth_right_mm: float | None = None,
+    dark: Colour = (0.05, 0.05, 0.05),
+    light: Colour = (0.9, 0.9, 0.9),
+) -> Scene:
+    """One textured plane that fills the frame.
+
+    Parameters
+    ----------
+    texture_name, seed
+        See :mod:`rigs.simulated.textures`.
+    depth_mm
+        Its depth; at the left border of the frame if it is slanted.
+    depth_right_mm
+        Depth at the right border; None: the same.
+    dark, light
+        Reflectance of the texture's 0 and 1.
+    """
+    right = depth_mm if depth_right_mm is None else depth_right_mm
+    # Beyond the frame as far as light from there is spread into it; inverse depth runs on.
+    edge = 0.25
+    left_inverse, right_inverse = (1 / depth_mm + t * (1 / right - 1 / depth_mm) for t in (-edge, 1 + edge))
+    depths = (1 / left_inverse, 1 / right_inverse, 1 / left_inverse)
+    if right == depth_mm:
+        depths = (depth_mm, depth_mm, depth_mm)
+    outline = rectangle(-edge, -edge, 1 + edge, 1 + edge)
+    item = SceneObject(texture_name, texture_name, outline, depths, seed, dark, light)
+    return Scene(f"plane {texture_name} {depth_mm:g} mm", (item,))
+
+
+def four_objects(seed: int = 0) -> Scene:
+    """Four objects at 100, 160, 250 and 320 cm on a table that runs to a wall at 350 cm."""
+
+    def standing(
+        name: str, texture_name: str, depth_mm: float, x: tuple[float, float], top: float, dark: Colour, light: Colour
+    ) -> SceneObject:
+        outline = rectangle(x[0], top, x[1], _table_row(depth_mm))
+        return SceneObject(name, texture_name, outline, (depth_mm,) * 3, seed + int(depth_mm), dark, light)
+
+    wall = SceneObject(
+        "wall", "brick", rectangle(-0.2, -0.2, 1.2, _TABLE_TOP + 0.02), (_WALL_MM,) * 3, seed + 1,
+        (0.55, 0.52, 0.45), (0.50, 0.20, 0.14),
+    )  # fmt: skip
+    below = 1.12
+    bottom_mm = _table_depth(below)
+    table = SceneObject(
+        "table", "gravel", rectangle(-0.2, _TABLE_TOP, 1.2, below), (_WALL_MM, _WALL_MM, bottom_mm), seed + 2,
+        (0.16, 0.13, 0.10), (0.62, 0.55, 0.44),
+    )  # fmt: skip
+    return Scene(
+        "four-objects",
+        (
+            wall, table,
+            standing("poster", "chart", 3200.0, (0.70, 0.97), 0.10, (0.03, 0.05, 0.12), (0.80, 0.85, 0.95)),
+            standing("box", "leaves", 2500.0, (0.47, 0.74), 0.24, (0.03, 0.08, 0.03), (0.60, 0.90, 0.50)),
+            standing("book", "text", 1600.0, (0.26, 0.50), 0.32, (0.04, 0.04, 0.05), (0.92, 0.90, 0.84)),
+            standing("cushion", "noise", 1000.0, (0.03, 0.29), 0.28, (0.10, 0.05, 0.25), (0.95, 0.75, 0.30)),
+        ),
+    )  # fmt: skip
+
+
+def scene_by_name(name: str, seed: int = 0) -> Scene:
+    """Scene from its name in a configuration: ``four-objects``, or a plane such as ``plane:chart:200cm``.
+
+    Raises
+    ------
+    ConfigError
+        There is no such scene, texture or depth; the message says what there is.
+    """
+    if name == "four-objects":
+        return four_objects(seed)
+    match = re.fullmatch(r"plane:([a-z]+):([0-9]+(?:\.[0-9]+)?)cm", name)
+    if not match:
+        raise ConfigError(
+            f"simulation.scene: no scene {name!r}; write four-objects, or a plane such as plane:chart:200cm"
+        )
+    if match[1] not in TEXTURES:
+        raise ConfigError(
+            f"simulation.scene: no texture {match[1]!r} in {name!r}; there are {', '.join(sorted(TEXTURES))}"
+        )
+    depth_mm = 10.0 * float(match[2])
+    if not 200.0 <= depth_mm < math.inf:
+        raise ConfigError(f"simulation.scene: {name!r} is too near for the lens; place the plane at 20cm or farther")
+    return plane_scene(match[1], depth_mm, seed=seed)
+
+
+def _table_row(depth_mm: float) -> float:
+    """Row (fraction of the frame) in which the table has this depth: affine in inverse depth."""
+    share = (1 / depth_mm - 1 / _WALL_MM) / (1 / _FRONT_MM - 1 / _WALL_MM)
+    return _TABLE_TOP + share * (_TABLE_BOTTOM - _TABLE_TOP)
+
+
+def _table_depth(row: float) -> float:
+    share = (row - _TABLE_TOP) / (_TABLE_BOTTOM - _TABLE_TOP)
+    return 1.0 / (1 / _WALL_MM + share * (1 / _FRONT_MM - 1 / _WALL_MM))
