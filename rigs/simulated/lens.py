@@ -73,12 +73,12 @@ class MaskPupil:
         n = self.transmission.shape[0]
         rows, columns = np.nonzero(self.transmission)
         half = np.abs(np.stack([rows, columns]) + 0.5 - n / 2) + 0.5
-        return float(np.hypot(half[0], half[1]).max()) * self.side_mm / n
+        return float(np.hypot(half[0], half[1]).max() * self.side_mm / n)
 
     @property
     def area_mm2(self) -> float:
         """Open area, weighted with the transmission."""
-        return float(self.transmission.sum()) * (self.side_mm / self.transmission.shape[0]) ** 2
+        return float(self.transmission.sum() * (self.side_mm / self.transmission.shape[0]) ** 2)
 
 
 Pupil = PolygonPupil | MaskPupil

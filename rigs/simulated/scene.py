@@ -27,8 +27,8 @@ from rigs.simulated.sensor import FloatImage, bayer
 from rigs.simulated.textures import texture
 
 Colour = tuple[float, float, float]
-_SLICE_STEP_PX = 0.4
-"""A slanted object is cut where the radius of the point image has changed by so much."""
+_SLICE_PX, _SLICE_MM = 0.4, 10.0
+"""A slanted object is cut where the radius of the point image has changed by so much, or depth if that is farther."""
 _SLANTED_TEXTURE_PX = 2048
 
 
@@ -46,6 +46,8 @@ class SceneObject:
         Polygon (x, y) in fractions of the frame; may reach beyond it.
     depths_mm
         Depth at the top left, top right and bottom left corner of the outline's bounding box.
+    enlarge
+        Of slanted objects: size of the texture's pixels relative to the frame's at the nearest depth.
     dark, light
         Reflectance (red, green, blue) where the texture is 0 and where it is 1.
     """
@@ -55,6 +57,7 @@ class SceneObject:
     outline: tuple[tuple[float, float], ...]
     depths_mm: tuple[float, float, float]
     seed: int = 0
+    enlarge: float = 1.0
     dark: Colour = (0.05, 0.05, 0.05)
     light: Colour = (0.9, 0.9, 0.9)
 
@@ -225,13 +228,14 @@ def _bands(
     top, bottom, left, right = region
     corners = [plane.base + plane.by_x * x + plane.by_y * y for x in (left, right) for y in (top, bottom)]
     far, near = min(corners), max(corners)
-    # The cone's section is affine in inverse depth: equal steps in one are equal steps in the other.
-    change = abs(lens.cone_section(1.0 / near) - lens.cone_section(1.0 / far)) * lens.pupil.radius_mm / pitch_mm
-    count = max(1, math.ceil(change / _SLICE_STEP_PX))
-    borders = np.linspace(far, near, count + 1)
-    for k in range(count):
-        ends = (-math.inf if k == 0 else float(borders[k]), math.inf if k == count - 1 else float(borders[k + 1]))
-        yield float(borders[k] + borders[k + 1]) / 2, ends
+    # The cone's section is affine in inverse depth.
+    per_inverse = abs(lens.cone_section(1.0 / near) - lens.cone_section(1.0 / far)) / (near - far)
+    step = _SLICE_PX * pitch_mm / (per_inverse * lens.pupil.radius_mm)
+    start = far
+    while start < near:
+        end = min(start + max(step, _SLICE_MM * start**2), near)
+        yield (start + end) / 2, (-math.inf if start == far else start, math.inf if end == near else end)
+        start = end
 
 
 def _draw(item: SceneObject, lens: Lens, frame_shape: tuple[int, int], pitch_mm: float) -> _Drawn:
@@ -256,9 +260,9 @@ def _slanted_texture(
     frame_shape: tuple[int, int],
     distance_px: float,
 ) -> FloatImage:
-    """Texture that lies in a slanted plane, in perspective; its pixels are as large as the frame's at the nearest.
+    """Texture that lies in a slanted plane, in perspective.
 
-    Where the frame's pixels hold several of the texture's, a smaller copy of the texture is used, as for mipmaps.
+    Its pixels are ``enlarge`` times as large as the frame's where the object is nearest. Where the frame's pixels hold several of the texture's, a smaller copy of the texture is used, as for mipmaps.
     """
     top, bottom, left, right = region
     y, x = np.arange(top, bottom)[:, None] + 0.5, np.arange(left, right)[None, :] + 0.5
@@ -271,7 +275,7 @@ def _slanted_texture(
     along = np.cross(normal, (0.0, 1.0, 0.0) if abs(normal[1]) < 0.9 else (0.0, 0.0, 1.0))
     along /= np.linalg.norm(along)
     across = np.cross(normal, along)
-    texel_mm = float(depth.min()) / distance_px
+    texel_mm = item.enlarge * float(depth.min()) / distance_px
     u, v = (
         ((depth * (dx * axis[0] + dy * axis[1] + axis[2])) / texel_mm).astype(np.float32) for axis in (along, across)
     )

@@ -48,7 +48,7 @@ def plane_scene(
     if right == depth_mm:
         depths = (depth_mm, depth_mm, depth_mm)
     outline = rectangle(-edge, -edge, 1 + edge, 1 + edge)
-    item = SceneObject(texture_name, texture_name, outline, depths, seed, dark, light)
+    item = SceneObject(texture_name, texture_name, outline, depths, seed, dark=dark, light=light)
     return Scene(f"plane {texture_name} {depth_mm:g} mm", (item,))
 
 
@@ -59,16 +59,16 @@ def four_objects(seed: int = 0) -> Scene:
         name: str, texture_name: str, depth_mm: float, x: tuple[float, float], top: float, dark: Colour, light: Colour
     ) -> SceneObject:
         outline = rectangle(x[0], top, x[1], _table_row(depth_mm))
-        return SceneObject(name, texture_name, outline, (depth_mm,) * 3, seed + int(depth_mm), dark, light)
+        return SceneObject(name, texture_name, outline, (depth_mm,) * 3, seed + int(depth_mm), dark=dark, light=light)
 
     wall = SceneObject(
-        "wall", "brick", rectangle(-0.2, -0.2, 1.2, _TABLE_TOP + 0.02), (_WALL_MM,) * 3, seed + 1,
+        "wall", "brick", rectangle(-0.2, -0.2, 1.2, _TABLE_TOP + 0.02), (_WALL_MM,) * 3, seed + 1, 1.0,
         (0.55, 0.52, 0.45), (0.50, 0.20, 0.14),
     )  # fmt: skip
     below = 1.12
     bottom_mm = _table_depth(below)
     table = SceneObject(
-        "table", "gravel", rectangle(-0.2, _TABLE_TOP, 1.2, below), (_WALL_MM, _WALL_MM, bottom_mm), seed + 2,
+        "table", "gravel", rectangle(-0.2, _TABLE_TOP, 1.2, below), (_WALL_MM, _WALL_MM, bottom_mm), seed + 2, 4.0,
         (0.16, 0.13, 0.10), (0.62, 0.55, 0.44),
     )  # fmt: skip
     return Scene(

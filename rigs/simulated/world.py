@@ -152,7 +152,7 @@ class SimulatedWorld:
         return View(depth, x, y, s.ambient)
 
     def light(self) -> FloatImage:
-        """Light on the sensor now, float32 (height, width), for :func:`rigs.simulated.sensor.expose`; kept for repeats."""
+        """Light on the sensor now, float32 (height, width), for :func:`sensor.expose`; kept for repeats."""
         view = self.view()
         key = (self.subject, self.pattern, view) if self.subject == "panel" else (self.subject, None, None)
         if self._last is None or self._last[0] != key:
