@@ -32,11 +32,11 @@ from workbench.figures.style import (
 FloatArray = NDArray[np.float64]
 
 VERDICT_STYLE: Mapping[str, tuple[str, str, str]] = {
-    "good": ("o", BLUE, "good"),
-    "suspect": ("^", ORANGE, "suspect"),
-    "bad": ("X", VERMILLION, "bad"),
+    "good": ("o", BLUE, "●"),
+    "suspect": ("^", ORANGE, "▲"),
+    "bad": ("X", VERMILLION, "✕"),
 }
-"""Marker, colour and word of each verdict: shape tells them apart without colour."""
+"""Marker, colour and sign of each verdict: shape tells them apart without colour."""
 
 MAX_TILES = 40
 _COLUMNS = 8
@@ -76,12 +76,14 @@ def psf_montage(bank: Bank) -> Figure:
             axes = grid.flat[k]
             axes.set_axis_on()
             _psf_tile(axes, tiles[d], abs(float(bank.lens.sigma_px(bank.depths_mm[d : d + 1])[0])), half)
-            _, colour, word = VERDICT_STYLE[words[d]]
-            note = "" if word == "good" else f"  {word}"
+            _, colour, sign = VERDICT_STYLE[words[d]]
+            marked = words[d] != "good"
             axes.set_title(
-                f"{bank.depths_mm[d] / 10:.4g} cm{note}", fontsize=SMALL, pad=2.5,
-                color=colour if note else INK, weight="bold" if note else "normal",
+                f"{bank.depths_mm[d] / 10:.4g} cm" + (f" {sign}" if marked else ""), fontsize=SMALL, pad=2.5,
+                color=INK, weight="bold" if marked else "normal",
             )  # fmt: skip
+            if marked:
+                axes.spines[:].set(color=colour, linewidth=1.6)
         bar = nice_length(0.6 * half)
         emptiest = int(np.argmin(np.abs(bank.lens.sigma_px(bank.depths_mm[chosen]))))
         scale_bar(grid.flat[emptiest], bar, _length_label(bar, bank.pixel_pitch_mm), colour="black")
@@ -224,14 +226,14 @@ def _residual_panel(axes: Axes, bank: Bank, words: NDArray[np.str_]) -> None:
                           va="center")  # fmt: skip
     axes.set_ylabel("measured − fit (px)")
     axes.set_xlabel("depth (cm)")
-    axes.text(0.995, 0.97, f"band: ±{limit.suspect:g} px, suspect beyond", transform=axes.transAxes, ha="right",
-              va="top", fontsize=SMALL, color=MUTED)  # fmt: skip
+    axes.text(0.995, 0.04, f"band: ±{limit.suspect:g} px, suspect beyond", transform=axes.transAxes, ha="right",
+              va="bottom", fontsize=SMALL, color=MUTED)  # fmt: skip
 
 
 def _by_verdict(
     axes: Axes, x: FloatArray, y: FloatArray, error: FloatArray | None, words: NDArray[np.str_], prefix: str = ""
 ) -> None:
-    for word, (marker, colour, name) in VERDICT_STYLE.items():
+    for word, (marker, colour, _) in VERDICT_STYLE.items():
         chosen = (words == word) & np.isfinite(y)
         if not chosen.any():
             continue
@@ -239,7 +241,7 @@ def _by_verdict(
         axes.errorbar(
             x[chosen], y[chosen], None if error is None else error[chosen], fmt=marker, ms=size, color=colour,
             mec="white" if word != "bad" else colour, mew=0.4, elinewidth=0.8, capsize=1.5, capthick=0.8,
-            label=f"{prefix}{name}", zorder=3,
+            label=f"{prefix}{word}", zorder=3,
         )  # fmt: skip
 
 
@@ -249,9 +251,15 @@ def _inverse_depth(value: Any) -> Any:
 
 
 def _dioptre_ticks(depths_mm: FloatArray) -> list[float]:
-    lowest, highest = 1000.0 / depths_mm[-1], 1000.0 / depths_mm[0]
-    candidates = (0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.6, 0.8, 1.0, 1.25, 1.5, 2.0, 3.0, 4.0, 6.0, 10.0, 20.0)
-    return [tick for tick in candidates if lowest <= tick <= highest]
+    """Round dioptres from far to near, none closer on the depth axis than a label is wide."""
+    candidates = (0.1, 0.15, 0.2, 0.25, 0.3, 0.35, 0.4, 0.5, 0.6, 0.8, 1.0, 1.2, 1.5, 2.0, 3.0, 4.0, 6.0, 10.0, 20.0)
+    room = 0.07 * float(np.ptp(depths_mm))
+    kept: list[float] = []
+    for tick in candidates:
+        depth = 1000.0 / tick
+        if depths_mm[0] <= depth <= depths_mm[-1] and (not kept or 1000.0 / kept[-1] - depth > room):
+            kept.append(tick)
+    return kept
 
 
 def quality_by_depth(bank: Bank) -> Figure:

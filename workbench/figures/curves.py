@@ -98,7 +98,7 @@ def _curve_panel(axes: Axes, number: int, estimate: DepthEstimate, lowest: float
     )
     if depth_cm.size:
         margin = 0.02 * float(np.ptp(depth_cm))
-        axes.set_xlim(depth_cm[0] - margin, depth_cm[-1] + margin)
+        axes.set_xlim(depth_cm.min() - margin, depth_cm.max() + margin)
     if estimate.status != "ok":
         axes.set_title(estimate.status, loc="right", color=MUTED, fontsize=SMALL)
     if top > 0:
@@ -115,9 +115,9 @@ def _curve_panel(axes: Axes, number: int, estimate: DepthEstimate, lowest: float
         axes.axvspan(low / 10, high / 10, color=SKY, alpha=0.28, lw=0, zorder=0)
     axes.axvline(estimate.depth_mm / 10, color=BLUE, lw=0.9, zorder=1)
     _mark(axes, estimate, estimate.depth_mm, "o", BLUE)
-    if math.isfinite(estimate.second_mm):
+    if _in_reach(estimate, estimate.second_mm):
         _mark(axes, estimate, estimate.second_mm, "D", ORANGE)
-    if math.isfinite(estimate.mirror_mm):
+    if _in_reach(estimate, estimate.mirror_mm):
         axes.axvline(estimate.mirror_mm / 10, color=GREEN, lw=1.0, ls=(0, (2, 2)), zorder=1)
         if math.isfinite(estimate.mirror_probability):
             _mirror_note(axes, estimate)
@@ -134,6 +134,11 @@ def _mirror_note(axes: Axes, estimate: DepthEstimate) -> None:
         ha="right" if to_left else "left", va="top" if is_posterior(estimate) else "bottom", fontsize=SMALL - 1,
         color=GREEN, path_effects=halo(1.5),
     )  # fmt: skip
+
+
+def _in_reach(estimate: DepthEstimate, depth_mm: float) -> bool:
+    """Whether a depth is a number within the depths that were looked at."""
+    return bool(estimate.depths_mm.size and estimate.depths_mm.min() <= depth_mm <= estimate.depths_mm.max())
 
 
 def _draw_curve(
@@ -194,7 +199,7 @@ def _interval_row(axes: Axes, row: float, estimate: DepthEstimate, true_mm: floa
     low, high = estimate.interval_mm
     if math.isfinite(low) and math.isfinite(high):
         axes.plot([low / 10, high / 10], [row, row], color=colour, lw=2.6, alpha=0.55, solid_capstyle="butt")
-    if math.isfinite(estimate.mirror_mm):
+    if _in_reach(estimate, estimate.mirror_mm):
         axes.plot(estimate.mirror_mm / 10, row, marker="o", ms=4, mfc="none", mec=GREEN, mew=0.9, ls="")
     if true_mm is not None and math.isfinite(true_mm):
         axes.plot(true_mm / 10, row, marker="|", ms=10, mec=INK, mew=1.4, ls="", zorder=2)

@@ -124,10 +124,11 @@ def depth_map(measurement: Measurement) -> Figure:
         axes.set_facecolor(UNKNOWN)
         picture = axes.imshow(np.ma.masked_invalid(depth_cm), cmap=DEPTH_MAP, norm=norm,
                               extent=(0, width, height, 0))  # fmt: skip
-        bar = figure.colorbar(picture, ax=axes, fraction=0.046, pad=0.02)
-        bar.set_label("depth (cm)")
-        bar.ax.invert_yaxis()
-        bar.outline.set_linewidth(0.4)
+        if known.any():
+            bar = figure.colorbar(picture, ax=axes, fraction=0.046, pad=0.02)
+            bar.set_label("depth (cm)")
+            bar.ax.invert_yaxis()
+            bar.outline.set_linewidth(0.4)
         scale = width / shape[1]
         _hatch(axes, ~known, scale)
         for number, estimate in sorted(measurement.estimates.items()):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -62,7 +63,7 @@ def write_bank_report(bank: Bank, path: Path, *, version: str = "") -> None:
             f"{who}.",
             glyphs=GLYPHS,
             verdict=quality.get("verdict"),
-            reasons=quality.get("reasons", []),
+            reasons=[_in_words(reason) for reason in quality.get("reasons", [])],
             lens=_lens_rows(bank),
             lens_figures=[_radius_figure(bank)],
             psf_figures=_psf_figures(bank),
@@ -78,6 +79,13 @@ def write_bank_report(bank: Bank, path: Path, *, version: str = "") -> None:
             frames=_frame_rows(bank),
         ),
     )
+
+
+def _in_words(reason: str) -> str:
+    """Replace names of figures (``residual_px``) in a sentence by words."""
+    for name in sorted(LIMITS, key=len, reverse=True):
+        reason = re.sub(rf"\b{name}\b", bank_figures.figure_name(name), reason)
+    return reason
 
 
 def _lens_rows(bank: Bank) -> list[dict[str, str]]:
@@ -122,8 +130,9 @@ def _psf_figures(bank: Bank) -> list[Shown]:
         shown(
             "PSFs over depth",
             "Measured PSFs at one common scale, each shaded from zero (white) to its own peak (black); small ones are "
-            "repeated magnified in a corner. The aperture is upright beyond focus and turned by 180 degrees nearer "
-            "than focus: this is what tells the two sides apart."
+            "repeated magnified in a corner. A sign beside the depth and a coloured frame mark what is not good. The "
+            "aperture is upright beyond focus and turned by 180 degrees nearer than focus: this is what tells the two "
+            "sides apart."
             + (f" {bank_figures.MAX_TILES} of {bank.depths_mm.size} depths are shown." if some else ""),
             bank_figures.psf_montage(bank), "png",
         )

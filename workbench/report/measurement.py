@@ -112,7 +112,10 @@ def _mirror_probability(e: DepthEstimate) -> str:
 
 
 def _confidence_note(measurement: Measurement) -> str:
-    if any(curves.is_posterior(e) for e in measurement.estimates.values()):
+    known = [e for e in measurement.estimates.values() if math.isfinite(e.depth_mm)]
+    if not known:
+        return "No region has a depth."
+    if any(curves.is_posterior(e) for e in known):
         return "Confidence is the probability that the depth is on the right side of focus and within the interval."
     return (
         "Scores of this method are no probabilities: interval and confidence say how peaked the score is, "
@@ -159,7 +162,8 @@ def _decision_figures(measurement: Measurement, truth: Mapping[int, float]) -> l
     found = []
     if any(math.isfinite(e.depth_mm) for e in estimates.values()):
         found.append(
-            shown("Depths with their intervals", "Bars are 95 % intervals; the symbol tells the status.",
+            shown("Depths with their intervals", "Bars are 95 % intervals; the symbol tells the status. "
+                   "Mirror depths beyond the bank's reach are in the table only.",
                    curves.depths_with_intervals(estimates, truth or None))
         )  # fmt: skip
     if any(number in estimates for number in truth):
