@@ -10,6 +10,12 @@ FloatArray = NDArray[np.float64]
 
 _SMOOTHING = 1.5
 """Standard deviation (cells) of the blur before tracing."""
+_ROUNDED = 3.0 * _SMOOTHING
+"""Cells next to a corner that don't show the direction of its sides."""
+_SHORTEST_SIDE = 8.0
+"""Sides with fewer cells are left out; with fewer than this between rounded ends they may as well be arcs."""
+_STRAIGHT = 0.3
+"""A side is straight if the parabola through its points bows by less than this many cells."""
 
 
 def circumscribed(picture: FloatArray) -> tuple[float, float, float]:
@@ -78,25 +84,31 @@ def _corners(points: FloatArray) -> FloatArray:
     sides = []
     for start, end in zip(polygon, np.roll(polygon, -1, axis=0), strict=True):
         length = float(np.hypot(*(end - start)))
-        if length < 0.2 * size:
+        if length < _SHORTEST_SIDE:
             continue
         along = (end - start) / length
         offset = points - start
         t, across = offset @ along, offset @ np.array([-along[1], along[0]])
-        chosen = points[(np.abs(across) < _SMOOTHING) & (t > 0.2 * length) & (t < 0.8 * length)]
-        if len(chosen) >= 4:
-            sides.append((start, end, *_line_through(chosen)))
+        rounded = min(_ROUNDED, 0.25 * length)
+        chosen = points[(np.abs(across) < 1.5 * _SMOOTHING) & (t > rounded) & (t < length - rounded)]
+        if len(chosen) >= 5:
+            middle, direction, sagitta = _line_through(chosen)
+            # a short side may as well be an arc: it only counts beside one that is plainly straight
+            if sagitta < _STRAIGHT:
+                sides.append((start, end, middle, direction, length > 2 * _ROUNDED + _SHORTEST_SIDE))
     restored = []
-    for (_, end, p, d), (start, _, q, e) in zip(sides, sides[1:] + sides[:1], strict=True):
+    for (_, end, p, d, first), (start, _, q, e, second) in zip(sides, sides[1:] + sides[:1], strict=True):
         cross = d[0] * e[1] - d[1] * e[0]
-        # neighbours whose ends nearly touch: a rounded corner, not a side that was left out
-        if abs(cross) < 0.2 or np.hypot(*(start - end)) > 6.0 * _SMOOTHING:
-            continue
-        restored.append(p + ((q - p)[0] * e[1] - (q - p)[1] * e[0]) / cross * d)
+        # neighbours at a clear angle (arcs yield blunt ones) whose ends nearly touch: a rounded corner
+        if (first or second) and abs(cross) > 0.5 and np.hypot(*(start - end)) < 0.12 * size:
+            restored.append(p + ((q - p)[0] * e[1] - (q - p)[1] * e[0]) / cross * d)
     return np.array(restored).reshape(-1, 2)
 
 
-def _line_through(points: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _line_through(points: FloatArray) -> tuple[FloatArray, FloatArray, float]:
+    """Middle and direction of the line of least squared distance, and how far the points bow away from it (cells)."""
     middle = points.mean(axis=0)
-    direction = np.linalg.svd(points - middle, full_matrices=False)[2][0]
-    return middle, direction
+    along, normal = np.linalg.svd(points - middle, full_matrices=False)[2]
+    t, across = (points - middle) @ along, (points - middle) @ normal
+    curvature = float(np.polyfit(t, across, 2)[0])
+    return middle, along, abs(curvature) * (float(np.ptp(t)) / 2) ** 2

@@ -7,7 +7,8 @@ from drawn_points import DEPTHS_MM, FOCUS_MM, SCALE_PX, draw_psf
 from calibration.errors import DepthListError, FitError
 from calibration.lens_fit import aperture_radius_mm, check_depths, fit_lens
 from calibration.pupil_outline import circumscribed
-from calibration.template import Spot, fit_spots, share_matrix
+from calibration.render import share_matrix
+from calibration.template import Spot, fit_spots
 
 DEPTHS = np.arange(600.0, 3501.0, 200.0)
 
@@ -101,6 +102,13 @@ def test_outline_of_a_polygon_is_measured_to_a_fraction_of_a_cell() -> None:
     # the seven's box is centred on its circle
     assert (row, column) == pytest.approx((63.2, 64.4), abs=0.15)
     assert radius == pytest.approx(50.0, rel=0.005)
+
+
+@pytest.mark.parametrize("radius", [20.0, 35.0, 50.0, 64.0])
+def test_a_round_outline_gets_no_corners(radius: float) -> None:
+    yy, xx = np.mgrid[0:160, 0:160]
+    disc = np.clip(radius + 0.5 - np.hypot(yy - 80.2, xx - 79.6), 0, 1)
+    assert circumscribed(disc)[2] == pytest.approx(radius, rel=0.01)
 
 
 @pytest.mark.parametrize("core", [0.0, 0.8])
