@@ -24,6 +24,8 @@ from calibration.errors import FitError
 from calibration.pupil_outline import circumscribed
 from calibration.render import HALF_EXTENT, render, share_matrix
 
+__all__ = ["HALF_EXTENT", "Spot", "SpotFit", "TemplateFit", "fit_spots", "render", "share_matrix"]
+
 FloatArray = NDArray[np.float64]
 
 MODEL_ERROR = 0.02
