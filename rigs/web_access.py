@@ -72,8 +72,9 @@ def _guard(headers: MutableHeaders, host: str) -> None:
     # Old Safari doesn't count WebSockets of the same host as 'self'.
     sockets = f" ws://{host}" if host else ""
     headers["Content-Security-Policy"] = (
-        f"default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob: data:; connect-src 'self'{sockets}; "
-        "media-src 'self' blob: mediastream:; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+        "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob: data:; "
+        f"connect-src 'self'{sockets}; media-src 'self' blob: mediastream:; "
+        "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
     )
     headers["Cache-Control"] = "no-store"
     headers["Referrer-Policy"] = "no-referrer"
