@@ -193,18 +193,14 @@ def _same_camera(infos: list[tuple[float, FrameInfo]], pitch: float | None, imag
 def _pool_noise_gain(
     measured: list[tuple[PointFrame, list[list[PointImage]]]],
 ) -> list[tuple[PointFrame, list[list[PointImage]]]]:
-    """Give every cut-out the noise gain of all frames of its ISO: a few pixels near focus can't tell their own."""
-    by_iso: dict[float | None, list[tuple[float, int]]] = {}
+    """Give every cut-out the smallest noise gain of its ISO's frames: each one's own is an upper bound."""
+    gains: dict[float | None, float] = {}
     for _, repeats in measured:
         for point in (p for points in repeats for p in points):
-            by_iso.setdefault(point.info.iso, []).append((point.noise_gain, int(point.support.sum())))
-    gains: dict[float | None, float] = {}
-    for iso, values in by_iso.items():
-        wide = [gain for gain, pixels in values if pixels >= 60] or [gain for gain, _ in values]
-        gains[iso] = float(np.median(wide))
+            gains[point.info.iso] = min(gains.get(point.info.iso, np.inf), point.noise_gain)
 
     def pooled(p: PointImage) -> PointImage:
-        gain = gains[p.info.iso]
+        gain = gains[p.info.iso] if np.isfinite(gains[p.info.iso]) else 0.0
         variance = p.noise**2 + gain * np.maximum(p.values, 0.0)
         return replace(
             p, noise_gain=gain, variance=variance, flux_snr=p.flux / float(np.sqrt(variance[p.support].sum()))

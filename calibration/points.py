@@ -255,9 +255,10 @@ def _cut_out(
         slice(max(0, columns[0] - margin), min(raw.shape[1], columns[-1] + 1 + margin)),
     )
     gain = _noise_gain(image.planes[window], support, noise)
-    variance = noise**2 + gain * np.maximum(values, 0.0)
+    variance = noise**2 + (gain if np.isfinite(gain) else 0.0) * np.maximum(values, 0.0)
     flux = float(values[support].sum())
-    flux_snr = flux / float(np.sqrt(variance[support].sum()))
+    # against the background's noise alone: the gain of one small point is an upper bound, and pooled later
+    flux_snr = flux / (noise * float(np.sqrt(support.sum())))
     if flux_snr < options.min_snr:
         raise PointError(
             "faint",
@@ -317,14 +318,20 @@ def _grow(
 
 
 def _noise_gain(planes: NDArray[np.float32], support: NDArray[np.bool_], noise: float) -> float:
-    """Variance of the luminance per unit of signal, from what the channels don't have in common.
+    """Variance of the luminance per unit of signal: an upper bound, infinite where the point is too small to tell.
 
-    For a point of one colour R = a L and so on, up to noise. With one channel nothing can be compared: pixels of a
-    second-difference filter inside the support are used instead, an upper bound where the point has structure.
+    Two readings, of which the smaller counts. A second-difference filter in the flat inside of the support: what it
+    sees is noise, and structure. And what green doesn't share with red and blue: noise, and edges, since the three sit
+    on different photosites of a cell.
     """
-    if support.sum() < 30:
-        return 0.0
-    if planes.shape[2] == 3:
+    luminance = planes.astype(np.float64).mean(axis=2) if planes.shape[2] == 1 else _cell_mean(planes)
+    second = ndimage.convolve(luminance, np.array([[1.0, -2.0, 1.0], [-2.0, 4.0, -2.0], [1.0, -2.0, 1.0]]) / 6.0)
+    inside = ndimage.binary_erosion(support, iterations=2) & (luminance > 0.5 * np.quantile(luminance[support], 0.9))
+    bounds = [np.inf]
+    if inside.sum() >= 30:
+        variance = (_MAD * float(np.median(np.abs(second[inside])))) ** 2
+        bounds.append((variance - noise**2) / float(np.mean(luminance[inside])))
+    if planes.shape[2] == 3 and support.sum() >= 30:
         r, g, b = (planes[:, :, c].astype(np.float64) for c in range(3))
         r, g, b = (c - np.median(c[~support]) for c in (r, g, b))
         rest = 0.5 * (r + b)  # luminance = (g + rest) / 2
@@ -333,17 +340,15 @@ def _noise_gain(planes: NDArray[np.float32], support: NDArray[np.bool_], noise: 
         residual = rest - ratio * g
         expected = 0.5 * (np.maximum(rest, 0.0) + ratio**2 * np.maximum(g, 0.0))
         quiet = float(np.median(np.abs(residual[~support])) * _MAD) ** 2
-        luminance = 0.5 * (g + rest)
-        per_photosite = (float((residual[support] ** 2).sum()) - quiet * support.sum()) / float(expected[support].sum())
         # luminance variance = (var(g) + var(rest)) / 4 = k (g + rest) / 8 = k L / 4
-        return max(0.0, per_photosite) * 0.25 if luminance[support].sum() > 0 else 0.0
-    values = planes[:, :, 0].astype(np.float64)
-    second = ndimage.convolve(values, np.array([[1.0, -2.0, 1.0], [-2.0, 4.0, -2.0], [1.0, -2.0, 1.0]]) / 6.0)
-    inside = ndimage.binary_erosion(support, iterations=2)
-    if inside.sum() < 30:
-        return 0.0
-    variance = (_MAD * float(np.median(np.abs(second[inside])))) ** 2
-    return max(0.0, (variance - noise**2) / float(np.mean(values[inside])))
+        excess = float((residual[support] ** 2).sum()) - quiet * support.sum()
+        bounds.append(0.25 * excess / float(expected[support].sum()))
+    return max(0.0, min(bounds))
+
+
+def _cell_mean(planes: NDArray[np.float32]) -> NDArray[np.float64]:
+    r, g, b = (planes[:, :, c].astype(np.float64) for c in range(3))
+    return np.asarray(0.25 * (r + 2.0 * g + b), np.float64)
 
 
 def _centre(point: PointImage) -> tuple[float, float]:
