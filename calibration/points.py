@@ -134,8 +134,9 @@ def find_points(image: LinearImage, *, expected: int = 1, options: PointOptions 
 def remove_hot_pixels(planes: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
     """Replace pixels that stand out in one or two of three channels, but not in all, by their neighbours' median.
 
-    A real point, even one that fills a single pixel, lights all channels; a hot photosite lights its own. An image with
-    one channel can't be told apart this way and is returned unchanged (a dark frame does it there).
+    A real point, even one smaller than a photosite, lights all channels of its pixel or of a neighbour, since the
+    channels lie side by side; a hot photosite lights its own. An image with one channel can't be told apart this way
+    and is returned unchanged (a dark frame does it there).
 
     Returns
     -------
@@ -148,6 +149,7 @@ def remove_hot_pixels(planes: NDArray[np.float32]) -> tuple[NDArray[np.float32],
     medians = [cv2.medianBlur(np.ascontiguousarray(planes[:, :, c]), 3) for c in range(3)]
     deviations = [planes[:, :, c] - medians[c] for c in range(3)]
     sigmas = [_MAD * float(np.median(np.abs(d[::3, ::3]))) + 1e-9 for d in deviations]
+    around = [cv2.dilate(d, np.ones((3, 3), np.uint8)) for d in deviations]
     cleaned = planes
     for c in range(3):
         # a share of the local signal allows for shot noise at high ISO
@@ -156,7 +158,7 @@ def remove_hot_pixels(planes: NDArray[np.float32]) -> tuple[NDArray[np.float32],
         dark = np.zeros(where[0].size, np.bool_)
         for k in range(3):
             if k != c:
-                dark |= deviations[k][where] < 0.05 * deviations[c][where] + sigmas[k]
+                dark |= around[k][where] < 0.05 * deviations[c][where] + 4.0 * sigmas[k]
         where = (where[0][dark], where[1][dark])
         if where[0].size:
             if cleaned is planes:
@@ -258,11 +260,11 @@ def _cut_out(
     variance = noise**2 + (gain if np.isfinite(gain) else 0.0) * np.maximum(values, 0.0)
     flux = float(values[support].sum())
     # against the background's noise alone: the gain of one small point is an upper bound, and pooled later
-    flux_snr = flux / (noise * float(np.sqrt(support.sum())))
-    if flux_snr < options.min_snr:
+    detection = flux / (noise * float(np.sqrt(support.sum())))
+    if detection < options.min_snr:
         raise PointError(
             "faint",
-            f"{path}: too faint a point (signal to noise {flux_snr:.0f}, needs {options.min_snr:.0f}); expose longer",
+            f"{path}: too faint a point (signal to noise {detection:.0f}, needs {options.min_snr:.0f}); expose longer",
         )
     return PointImage(
         values=values[cut],
@@ -272,7 +274,7 @@ def _cut_out(
         frame_shape=(height, width),
         info=image.info,
         flux=flux,
-        flux_snr=flux_snr,
+        flux_snr=flux / float(np.sqrt(variance[support].sum())),
         background=float(plane[0]),
         background_tilt=float(np.hypot(plane[1] * raw.shape[0], plane[2] * raw.shape[1])),
         noise=noise,

@@ -36,7 +36,7 @@ LIMITS: Mapping[str, Limit] = {
     "saturation_margin": Limit(0.05, 0.01, True, "1 minus the brightest channel"),
     "residual_px": Limit(0.15, 0.5, False, "absolute distance of the radius from the fitted lens"),
     "residual_sigma": Limit(5.0, 15.0, False, "the same over its standard error and the fit's spread"),
-    "support_fraction": Limit(1.0, 2.5, False, "support over the circle about the blurred aperture; more is a halo"),
+    "halo": Limit(0.15, 0.4, False, "share of the light outside the circle about the blurred aperture"),
     "asymmetry": Limit(0.05, 0.02, True, "distance of the PSF from itself turned by 180 degrees, 0 to 1"),
     "neighbour_change": Limit(
         0.6, 0.85, False, "distance to the nearer neighbouring depth's PSF, scaled to one size, 0 to 1"
@@ -105,17 +105,18 @@ def judge(
         point = stacked.point
         brightest = np.unravel_index(int(psf[d].argmax()), psf[d].shape)
         mean_level = point.flux / max(1, int(point.support.sum()))
-        circle = np.pi * (abs(spot.radius_px) + 3.5 * core_px + 1.5) ** 2
+        rows, columns = np.ogrid[: point.values.shape[0], : point.values.shape[1]]
+        beyond = np.hypot(rows - spot.centre_y, columns - spot.centre_x) > abs(spot.radius_px) + 3.5 * core_px + 1.5
         at_focus = abs(spot.radius_px) < 2.0
         figures = {
             "flux_snr": point.flux_snr,
-            "peak_snr": float(psf[d].max() / max(float(psf_se[d][brightest]), 1e-30)),
+            "peak_snr": _ratio(float(psf[d].max()), float(psf_se[d][brightest])),
             "background": abs(point.background),
             "background_tilt": point.background_tilt / mean_level,
             "saturation_margin": 1.0 - point.peak,
             "residual_px": abs(float(lens.residual_px[d])),
             "residual_sigma": abs(float(lens.residual_px[d])) / (float(error[d]) * typical),
-            "support_fraction": float("nan") if at_focus else float(point.support.sum()) / circle,
+            "halo": float(point.values[point.support & beyond].sum()) / point.flux,
             "asymmetry": float("nan") if at_focus else asymmetry(psf[d]),
             "neighbour_change": _neighbour_change(psf, lens.radius_px, d),
             "model_misfit": float("nan") if at_focus else spot.misfit,
@@ -142,6 +143,11 @@ def judge(
     if bank_figures["focus_relative_se"] > 0.01:
         named = ("focus distance uncertain by more than 1 %", *named)
     return Quality(tuple(per_depth), bank_figures, overall, named)
+
+
+def _ratio(value: float, error: float) -> float:
+    """Signal to noise; NaN where one pixel holds everything, whose share has no error."""
+    return value / error if error > 0 else float("nan")
 
 
 def asymmetry(psf: FloatArray) -> float:
