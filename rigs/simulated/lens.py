@@ -179,8 +179,9 @@ def point_image(
 ) -> FloatArray:
     """Image of a point, each pixel holding the light that falls on its area.
 
-    The pupil is laid on a grid four times finer than the pixels by exact areas, blurred there (diffraction,
-    aberrations, the source's own size) by multiplying its transform, and summed to pixels.
+    Without any blur of its own, the projected pupil is shared out to the pixels by exact areas. Otherwise the same is
+    done on a grid four times finer, blurred there (diffraction, aberrations, the source's own size) by multiplying its
+    transform, and summed to pixels.
 
     Parameters
     ----------
@@ -205,20 +206,27 @@ def point_image(
     core = 5.0 * lens.aberration_um * 1e-3 / pitch_mm + (4.0 if lens.wavelength_um else 0.0)
     reach = abs(section) * lens.pupil.radius_mm + spread + core + (0.75 * spot.size_mm / pitch_mm if spot else 0.0)
     half = math.ceil(reach + 1.0)
-    side, fine = 2 * half + 1, _OVERSAMPLING * (2 * half + 1)
-    # A pupil smaller than a fine cell stays where its centre is only if that is the middle of a cell: it is drawn
-    # there, and moved to its place with the transform's phase.
-    middle = _OVERSAMPLING * half + _OVERSAMPLING // 2 + 0.5
-    centre_yx = (middle, middle)
-    moves = [_OVERSAMPLING * (half + 0.5 + offset) - middle for offset in offset_px]
+    side = 2 * half + 1
+    if not (lens.aberration_um or lens.wavelength_um or lens.coma_um or (spot and spot.size_mm)):
+        return _projected_pupil(lens, section, field_mm, (half + 0.5 + offset_px[0], half + 0.5 + offset_px[1]), side)
+    fine = _OVERSAMPLING * side
+    centre_yx = (_OVERSAMPLING * (half + 0.5 + offset_px[0]), _OVERSAMPLING * (half + 0.5 + offset_px[1]))
+    moves_yx = (0.0, 0.0)
+    if abs(section) * _OVERSAMPLING * lens.pupil.radius_mm < 2.0:
+        # A pupil of about a fine cell's size keeps its place only in the middle of a cell: it is drawn there, and moved
+        # by the phase of its transform, which the blur limits to frequencies far below the fine grid's.
+        middle = _OVERSAMPLING * half + _OVERSAMPLING // 2 + 0.5
+        moves_yx = (centre_yx[0] - middle, centre_yx[1] - middle)
+        centre_yx = (middle, middle)
     if lens.coma_um:
         sharp = _with_coma(lens, section * _OVERSAMPLING, pitch_mm / _OVERSAMPLING, field_mm, centre_yx, fine)
     else:
         sharp = _projected_pupil(lens, section * _OVERSAMPLING, field_mm, centre_yx, fine)
     size = fft.next_fast_len(fine, real=True)
     transform = fft.rfft2(sharp, s=(size, size)) * _core_transfer(lens, size, pitch_mm / _OVERSAMPLING, spot)
-    transform *= np.exp(-2j * math.pi * moves[0] * fft.fftfreq(size))[:, None]
-    transform *= np.exp(-2j * math.pi * moves[1] * fft.rfftfreq(size))[None, :]
+    if moves_yx != (0.0, 0.0):
+        transform *= np.exp(-2j * math.pi * moves_yx[0] * fft.fftfreq(size))[:, None]
+        transform *= np.exp(-2j * math.pi * moves_yx[1] * fft.rfftfreq(size))[None, :]
     blurred = fft.irfft2(transform, s=(size, size))[:fine, :fine]
     image = np.maximum(blurred, 0.0).reshape(side, _OVERSAMPLING, side, _OVERSAMPLING).sum(axis=(1, 3))
     return np.asarray(image / image.sum(), np.float64)
@@ -322,10 +330,10 @@ def _core_transfer(lens: Lens, size: int, fine_mm: float, spot: Spot | None) -> 
 
 def _rim(lens: Lens, field_mm: tuple[float, float]) -> FloatArray:
     """Outline (N, 2) in mm of the displaced rim as seen in the pupil's plane."""
-    radius = lens.pupil.radius_mm
     angle = 2.0 * math.pi * np.arange(_RIM_VERTICES) / _RIM_VERTICES
-    # A regular polygon of the same area has its vertices slightly outside the circle.
-    vertex = radius * math.sqrt(2 * math.pi / _RIM_VERTICES / math.sin(2 * math.pi / _RIM_VERTICES))
+    radius = lens.pupil.radius_mm
+    # Drawn around its circle, so that on the axis it cuts nothing.
+    vertex = radius / math.cos(math.pi / _RIM_VERTICES)
     shift = np.array(field_mm) / COMA_FIELD_RADIUS_MM * lens.vignetting * radius
     return np.stack([np.cos(angle), np.sin(angle)], axis=1) * vertex + shift
 

@@ -101,8 +101,8 @@ class _InversePlane:
     def slope(self) -> float:
         return math.hypot(self.by_x, self.by_y)
 
-    def at(self, x: NDArray[np.floating], y: NDArray[np.floating]) -> FloatImage:
-        return np.asarray((self.base + self.by_x * x).astype(np.float32) + (self.by_y * y).astype(np.float32))
+    def at(self, x: NDArray[np.floating], y: NDArray[np.floating]) -> NDArray[np.float64]:
+        return np.asarray((self.base + self.by_x * x) + self.by_y * y, np.float64)
 
 
 def scene_light(
@@ -154,7 +154,7 @@ def scene_light(
 def scene_truth(scene: Scene, frame_shape: tuple[int, int]) -> SceneTruth:
     """Depth and object in front, for each 2x2 cell of photosites."""
     cells = frame_shape[0] // 2, frame_shape[1] // 2
-    nearest = np.zeros(cells, np.float32)
+    nearest = np.zeros(cells)
     ids = np.zeros(cells, np.uint8)
     # Coordinates of a cell's middle in photosites, and the outline in cells.
     y, x = 2.0 * np.arange(cells[0])[:, None] + 1.0, 2.0 * np.arange(cells[1])[None, :] + 1.0
@@ -164,8 +164,7 @@ def scene_truth(scene: Scene, frame_shape: tuple[int, int]) -> SceneTruth:
         in_front = (polygon_coverage([loop], cells) >= 0.5) & (inverse > nearest)
         nearest = np.where(in_front, inverse, nearest)
         ids[in_front] = number
-    depth = np.zeros(cells, np.float32)
-    np.divide(1.0, nearest, out=depth, where=nearest > 0)
+    depth = np.divide(1.0, nearest, out=np.zeros(cells), where=nearest > 0).astype(np.float32)
     return SceneTruth(depth, ids, tuple(item.name for item in scene.objects))
 
 
@@ -196,22 +195,27 @@ def _region(
     item: SceneObject, lens: Lens, frame_shape: tuple[int, int], pitch_mm: float
 ) -> tuple[int, int, int, int] | None:
     """Rows and columns (first, end) that an object takes in the frame and as far around as its blur reaches."""
+    height, width = frame_shape
     x0, y0, x1, y1 = _box(item)
-    reach = max(reach_px(lens, depth, pitch_mm) for depth in (*item.depths_mm, _fourth_depth(item)))
-    top, bottom = (
-        max(math.floor(y0 * frame_shape[0]), -reach),
-        min(math.ceil(y1 * frame_shape[0]), frame_shape[0] + reach),
+    top, bottom, left, right = (
+        math.floor(y0 * height),
+        math.ceil(y1 * height),
+        math.floor(x0 * width),
+        math.ceil(x1 * width),
     )
-    left, right = (
-        max(math.floor(x0 * frame_shape[1]), -reach),
-        min(math.ceil(x1 * frame_shape[1]), frame_shape[1] + reach),
+    plane = _inverse_plane(item, frame_shape)
+    seen_x, seen_y = (min(max(left, 0), width), min(right, width)), (min(max(top, 0), height), min(bottom, height))
+    depths = [1.0 / (plane.base + plane.by_x * x + plane.by_y * y) for x in seen_x for y in seen_y]
+    reach = max(reach_px(lens, depth, pitch_mm) for depth in depths)
+    if plane.slope:
+        reach = math.ceil(1.2 * reach) + 2  # past the frame's border it may be nearer still
+    top, bottom, left, right = (
+        max(top, -reach),
+        min(bottom, height + reach),
+        max(left, -reach),
+        min(right, width + reach),
     )
     return (top, bottom, left, right) if top < bottom and left < right else None
-
-
-def _fourth_depth(item: SceneObject) -> float:
-    here, right, below = (1.0 / depth for depth in item.depths_mm)
-    return 1.0 / (right + below - here)
 
 
 def _bands(
@@ -262,7 +266,8 @@ def _slanted_texture(
 ) -> FloatImage:
     """Texture that lies in a slanted plane, in perspective.
 
-    Its pixels are ``enlarge`` times as large as the frame's where the object is nearest. Where the frame's pixels hold several of the texture's, a smaller copy of the texture is used, as for mipmaps.
+    Its pixels are ``enlarge`` times as large as the frame's where the object is nearest. Where the frame's pixels hold
+    several of the texture's, a smaller copy of the texture is used, as for mipmaps.
     """
     top, bottom, left, right = region
     y, x = np.arange(top, bottom)[:, None] + 0.5, np.arange(left, right)[None, :] + 0.5

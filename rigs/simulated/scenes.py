@@ -41,13 +41,13 @@ def plane_scene(
         Reflectance of the texture's 0 and 1.
     """
     right = depth_mm if depth_right_mm is None else depth_right_mm
-    # Beyond the frame as far as light from there is spread into it; inverse depth runs on.
-    edge = 0.25
-    left_inverse, right_inverse = (1 / depth_mm + t * (1 / right - 1 / depth_mm) for t in (-edge, 1 + edge))
-    depths = (1 / left_inverse, 1 / right_inverse, 1 / left_inverse)
-    if right == depth_mm:
-        depths = (depth_mm, depth_mm, depth_mm)
-    outline = rectangle(-edge, -edge, 1 + edge, 1 + edge)
+    # It goes on beyond the frame, whatever the frame's size; a slanted one until its inverse depth halves or doubles.
+    left, slope = 1 / depth_mm, 1 / right - 1 / depth_mm
+    edge = 20.0 if slope == 0 else min(20.0, 0.5 * min(left, 1 / right) / abs(slope))
+    left_end, right_end = (
+        (depth_mm, depth_mm) if slope == 0 else (1 / (left - edge * slope), 1 / (1 / right + edge * slope))
+    )
+    outline, depths = rectangle(-edge, -20.0, 1 + edge, 21.0), (left_end, right_end, left_end)
     item = SceneObject(texture_name, texture_name, outline, depths, seed, dark=dark, light=light)
     return Scene(f"plane {texture_name} {depth_mm:g} mm", (item,))
 
