@@ -152,7 +152,7 @@ def test_vignetting_darkens_the_corners_and_keeps_coverage_whole() -> None:
     settings = SimulatedRigSettings(vignetting=0.8)
     flat = Scene("flat", (_plain("wall", BACKDROP, 2000.0, 0.5),))
     light = scene_light(flat, settings.lens(), (400, 3000), 0.0086)
-    assert light[200, 1500] == pytest.approx(0.5, rel=1e-4)
+    assert light[200, 1500] == pytest.approx(0.5, rel=2e-3)
     assert light[200, 20] < 0.45
     assert light[200, 2980] < 0.45
 
