@@ -1,0 +1,339 @@
+"""How well a blur of each radius explains a region's power spectrum.
+
+The periodogram I(f) of a blurred texture is Gamma distributed about ``S(f) g(f) k(f) + n`` where ``k`` is the blur's
+squared transfer function smeared by the taper, ``n`` white noise, and ``S g`` the texture's own spectrum: ``S`` smooth
+(piecewise linear in log-log, and with a gentle dependence on direction), ``g`` an unknown factor per frequency. The
+factor is what keeps periodic, sparse and text-like textures from breaking the model: it is log-normal with a wide
+second component and is integrated out, so that a spectral line, or a gap between lines, counts as a surprise of
+bounded size, and what decides is where the blur's zeros leave nothing but noise. ``S`` and ``n`` are fitted anew for
+every blur by a few Fisher scoring steps, which is one pass over the spectrum each.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import fft
+from scipy.special import gammaln, logsumexp
+
+from workbench.depth.compiled import compiled
+
+FloatArray = NDArray[np.float64]
+Float32 = NDArray[np.float32]
+
+_KNOTS = np.log(np.array([0.02, 0.045, 0.09, 0.18, 0.36]))
+"""Log frequencies (cycles per pixel) between which log S is linear."""
+_SLOPE, _SLOPE_SD = -2.4, 0.8
+"""Expected fall of log power with log frequency, over all knots; amplitudes of scenes fall as 1/f (Field 1987)."""
+_BEND_SD = 0.8
+"""Expected change of that slope from knot to knot, times the knots' distance."""
+_DIRECTION_SD = 0.8
+_LOW, _STEP, _CELLS = -12.0, 0.125, 256
+"""The likelihood is tabulated over log(I/n) and log(S k/n)."""
+_LEAST_LOG = -60.0
+"""No single frequency may count more against a depth than this: the outlier floor."""
+_AVERAGES = (1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 18.0, 27.0, 40.0)
+FIRST_CYCLE = 2.0
+"""Frequencies with fewer cycles per window are left out: shading and the taper's main lobe."""
+
+
+@dataclass(frozen=True, slots=True)
+class SpectralFit:
+    """Result over D blurs.
+
+    Attributes
+    ----------
+    log_likelihood
+        float64 (D,), with S and n at their best for each blur (and the priors' penalty).
+    null
+        The same for noise alone.
+    coefficients
+        float64 (D, P): log S on its basis.
+    log_noise
+        float64 (D,): log n.
+    """
+
+    log_likelihood: FloatArray
+    null: float
+    coefficients: FloatArray
+    log_noise: FloatArray
+
+
+def frequencies(size: int) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
+    """|f| and direction on the half plane (N, N // 2 + 1), and which of it is used (each frequency once)."""
+    fy, fx = fft.fftfreq(size)[:, np.newaxis], fft.rfftfreq(size)[np.newaxis, :]
+    modulus = np.hypot(fy, fx)
+    used = (modulus * size >= FIRST_CYCLE) & (modulus <= 0.5) & ~((fx == 0) & (fy < 0))
+    return modulus, np.arctan2(fy + 0 * fx, fx + 0 * fy), used
+
+
+def basis(modulus: FloatArray, direction: FloatArray) -> FloatArray:
+    """Basis of log S for flattened frequencies, float64 (F, P)."""
+    u = np.log(np.maximum(modulus, 1e-4))
+    cell = np.clip(np.searchsorted(_KNOTS, u) - 1, 0, _KNOTS.size - 2)
+    share = (u - _KNOTS[cell]) / (_KNOTS[cell + 1] - _KNOTS[cell])  # beyond 0..1 outside: extrapolates
+    hats = np.zeros((u.size, _KNOTS.size))
+    hats[np.arange(u.size), cell] = 1.0 - share
+    hats[np.arange(u.size), cell + 1] = share
+    fine = np.clip((u - _KNOTS[0]) / (_KNOTS[-1] - _KNOTS[0]), 0.0, 1.0)
+    c2, s2 = np.cos(2 * direction), np.sin(2 * direction)
+    turns = [c2 * (1 - fine), c2 * fine, s2 * (1 - fine), s2 * fine, np.cos(4 * direction), np.sin(4 * direction)]
+    return np.concatenate([hats, np.stack(turns, axis=1)], axis=1)
+
+
+def _prior(width: int) -> tuple[FloatArray, FloatArray]:
+    """Precision and precision times mean of the Gaussian prior on the basis's coefficients."""
+    knots = _KNOTS.size
+    rows, values = [], []
+    slope = np.zeros(width)
+    slope[[0, knots - 1]] = np.array([-1.0, 1.0]) / (_KNOTS[-1] - _KNOTS[0]) / _SLOPE_SD
+    rows.append(slope)
+    values.append(_SLOPE / _SLOPE_SD)
+    for j in range(1, knots - 1):
+        bend = np.zeros(width)
+        bend[j - 1 : j + 2] = np.array([1.0, -2.0, 1.0]) / _BEND_SD
+        rows.append(bend)
+        values.append(0.0)
+    for j in range(knots, width):
+        turn = np.zeros(width)
+        turn[j] = 1.0 / _DIRECTION_SD
+        rows.append(turn)
+        values.append(0.0)
+    design, target = np.array(rows), np.array(values)
+    return design.T @ design, design.T @ target
+
+
+def smeared_power(kernel_lags: Float32, taper_lags: FloatArray, size: int) -> Float32:
+    """Expected periodogram of white texture behind each blur.
+
+    Parameters
+    ----------
+    kernel_lags
+        float32 (D, 2 L + 1, 2 L + 1): autocorrelation of each PSF.
+    taper_lags
+        float64 (2 L + 1, 2 L + 1).
+    size
+        Window side N; lags beyond it fold over, as sampling the spectrum at N frequencies makes them.
+
+    Returns
+    -------
+    float32 (D, N, N // 2 + 1).
+    """
+    reach = kernel_lags.shape[1] // 2
+    where = np.arange(-reach, reach + 1) % size
+    product = kernel_lags * taper_lags.astype(np.float32)
+    folded = np.zeros((kernel_lags.shape[0], size, product.shape[2]), np.float32)
+    for i, row in enumerate(where):
+        folded[:, row] += product[:, i]
+    square = np.zeros((kernel_lags.shape[0], size, size), np.float32)
+    for j, column in enumerate(where):
+        square[:, :, column] += folded[:, :, j]
+    return np.asarray(fft.rfft2(square, axes=(1, 2)).real, np.float32)
+
+
+@lru_cache(maxsize=64)
+def _tables(averages: float, spread: float, wide_share: float, wide_spread: float) -> tuple[Float32, ...]:
+    """Log density of log I, its slopes in log(S k) and log n, and the Fisher information, over the table's grid."""
+    grid = _LOW + _STEP * np.arange(_CELLS)
+    nodes = np.linspace(-3.0, 3.0, 15)
+    weights = np.exp(-0.5 * nodes**2)
+    weights /= weights.sum()
+    factors = np.concatenate([nodes * spread, nodes * wide_spread])
+    shares = np.concatenate([(1.0 - wide_share) * weights, wide_share * weights])
+    log_mean = np.log(np.exp(grid[:, np.newaxis] + factors) + 1.0)
+    excess = grid[:, np.newaxis, np.newaxis] - log_mean
+    log_gamma = averages * (excess - np.exp(np.minimum(excess, 30.0)))
+    table = logsumexp(log_gamma, axis=2, b=shares) + averages * np.log(averages) - gammaln(averages)
+    table = np.maximum(table, _LEAST_LOG)
+    by_signal = np.gradient(table, _STEP, axis=1)
+    by_noise = -np.gradient(table, _STEP, axis=0) - by_signal
+    density = np.exp(table)
+    density /= density.sum(axis=0, keepdims=True)
+    information = [(density * a * b).sum(axis=0) for a, b in
+                   ((by_signal, by_signal), (by_signal, by_noise), (by_noise, by_noise))]  # fmt: skip
+    return tuple(np.ascontiguousarray(t, np.float32) for t in (table, by_signal, by_noise, *information))
+
+
+@dataclass(frozen=True, slots=True)
+class TextureFactor:
+    """Distribution of the unknown factor g per frequency: standard deviation of its logarithm, and of a second part."""
+
+    spread: float = 0.5
+    wide_share: float = 0.1
+    wide_spread: float = 2.5
+
+
+def fit_spectra(
+    power: FloatArray,
+    averages: float,
+    expected: Float32,
+    *,
+    correlation: float = 0.3,
+    factor: TextureFactor | None = None,
+) -> SpectralFit:
+    """Fit texture and noise for every blur and say how well it explains the periodogram.
+
+    Parameters
+    ----------
+    power
+        float64 (N, N // 2 + 1): average periodogram.
+    averages
+        What the average is worth.
+    expected
+        float32 (D, N, N // 2 + 1): the blurs' smeared squared transfer functions, in an order in which neighbours are
+        alike (each fit starts from the last).
+    correlation
+        Neighbouring frequencies of a tapered window are not independent; the log-likelihood is multiplied by this.
+    factor
+        The texture's factor per frequency.
+    """
+    factor = factor or TextureFactor()
+    size = power.shape[0]
+    modulus, direction, used = frequencies(size)
+    terms = basis(modulus[used], direction[used])
+    log_power = np.log(np.maximum(power[used], 1e-16)).astype(np.float32)
+    log_expected = np.log(np.maximum(expected[:, used], 1e-9)).astype(np.float32)
+    worth = min(_AVERAGES, key=lambda a: abs(np.log(a / max(averages, 1.0))))
+    tables = _tables(worth, factor.spread, factor.wide_share, factor.wide_spread)
+    precision, pull = _prior(terms.shape[1])
+    start = np.zeros(terms.shape[1])
+    low = modulus[used] < np.exp(_KNOTS[1]) * 1.4
+    start[: _KNOTS.size] = np.median(log_power[low]) + _SLOPE * (_KNOTS - _KNOTS[0])
+    # the lowest tenth is noise, or less than texture: single periodograms scatter far below their mean
+    noise = float(np.log(max(float(np.percentile(power[used], 10)), 1e-16) / (0.3 if worth < 4 else 1.0)))
+    design = np.ascontiguousarray(terms, np.float32)
+    arguments = (design, precision, pull)
+    _, warm, warm_noise = _scan(log_power, log_expected[:1], *arguments, start, noise, noise, 12, correlation, *tables)
+    likelihood, coefficients, log_noise = _scan(
+        log_power, log_expected, *arguments, warm[0], float(warm_noise[0]), noise, 2, correlation, *tables
+    )
+    return SpectralFit(likelihood, _noise_alone(log_power, tables[0], correlation), coefficients, log_noise)
+
+
+def _noise_alone(log_power: Float32, table: Float32, correlation: float) -> float:
+    column = table[:, 0].astype(np.float64)
+    grid = _LOW + _STEP * np.arange(_CELLS)
+    level = np.log(np.mean(np.exp(log_power.astype(np.float64))))
+    trials = [float(np.interp(log_power - level - shift, grid, column).sum()) for shift in (-0.4, -0.2, 0.0, 0.2)]
+    return correlation * max(trials)
+
+
+@compiled
+def _scan(
+    log_power: Float32,
+    log_expected: Float32,
+    design: Float32,
+    precision: FloatArray,
+    pull: FloatArray,
+    start: FloatArray,
+    start_noise: float,
+    prior_noise: float,
+    steps: int,
+    correlation: float,
+    table: Float32,
+    by_signal: Float32,
+    by_noise: Float32,
+    info_ss: Float32,
+    info_sn: Float32,
+    info_nn: Float32,
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    blurs, count = log_expected.shape
+    p = design.shape[1]
+    cells = table.shape[0]
+    likelihood, coefficients, noises = np.zeros(blurs), np.zeros((blurs, p)), np.zeros(blurs)
+    theta, log_noise = start.copy(), start_noise
+    gradient, hessian = np.zeros(p + 1), np.zeros((p + 1, p + 1))
+    row = np.zeros(p)
+    for d in range(blurs):
+        for step in range(steps + 1):
+            gradient[:] = 0.0
+            hessian[:] = 0.0
+            total = 0.0
+            for f in range(count):
+                signal = log_expected[d, f] - log_noise
+                for j in range(p):
+                    row[j] = design[f, j]
+                    signal += row[j] * theta[j]
+                y = min(max((log_power[f] - log_noise - _LOW) / _STEP, 0.0), cells - 1.001)
+                x = min(max((signal - _LOW) / _STEP, 0.0), cells - 1.001)
+                y0, x0 = int(y), int(x)
+                y -= y0
+                x -= x0
+                w00, w01, w10, w11 = (1 - y) * (1 - x), (1 - y) * x, y * (1 - x), y * x
+                total += (
+                    w00 * table[y0, x0] + w01 * table[y0, x0 + 1]
+                    + w10 * table[y0 + 1, x0] + w11 * table[y0 + 1, x0 + 1]
+                )  # fmt: skip
+                if step < steps:
+                    slope = (
+                        w00 * by_signal[y0, x0] + w01 * by_signal[y0, x0 + 1]
+                        + w10 * by_signal[y0 + 1, x0] + w11 * by_signal[y0 + 1, x0 + 1]
+                    )  # fmt: skip
+                    slope_noise = (
+                        w00 * by_noise[y0, x0] + w01 * by_noise[y0, x0 + 1]
+                        + w10 * by_noise[y0 + 1, x0] + w11 * by_noise[y0 + 1, x0 + 1]
+                    )  # fmt: skip
+                    ss, sn = info_ss[x0], info_sn[x0]
+                    for j in range(p):
+                        gradient[j] += slope * row[j]
+                        for k in range(j + 1):
+                            hessian[j, k] += ss * row[j] * row[k]
+                        hessian[p, j] += sn * row[j]
+                    gradient[p] += slope_noise
+                    hessian[p, p] += info_nn[x0]
+            total *= correlation
+            gradient *= correlation
+            hessian *= correlation
+            for j in range(p):
+                left = pull[j]
+                for k in range(p):
+                    left -= precision[j, k] * theta[k]
+                gradient[j] += left
+                total += 0.5 * theta[j] * (pull[j] + left)
+            total -= 0.25 * (log_noise - prior_noise) ** 2
+            if step == steps:
+                break
+            gradient[p] -= 0.5 * (log_noise - prior_noise)
+            hessian[p, p] += 0.5
+            for j in range(p):
+                for k in range(j + 1):
+                    hessian[j, k] += precision[j, k]
+            for j in range(p + 1):
+                hessian[j, j] = 1.02 * hessian[j, j] + 1e-3
+            _solve(hessian, gradient)
+            longest = 0.0
+            for j in range(p + 1):
+                longest = max(longest, abs(gradient[j]))
+            shorter = 2.0 / longest if longest > 2.0 else 1.0
+            for j in range(p):
+                theta[j] += shorter * gradient[j]
+            log_noise += shorter * gradient[p]
+        likelihood[d], noises[d] = total, log_noise
+        coefficients[d] = theta
+    return likelihood, coefficients, noises
+
+
+@compiled
+def _solve(lower: FloatArray, vector: FloatArray) -> None:
+    """Solve a positive definite system in place (Cholesky); only the lower triangle is read."""
+    n = vector.shape[0]
+    for i in range(n):
+        for j in range(i + 1):
+            left = lower[i, j]
+            for k in range(j):
+                left -= lower[i, k] * lower[j, k]
+            if i == j:
+                lower[i, i] = np.sqrt(max(left, 1e-12))
+            else:
+                lower[i, j] = left / lower[j, j]
+    for i in range(n):
+        for k in range(i):
+            vector[i] -= lower[i, k] * vector[k]
+        vector[i] /= lower[i, i]
+    for i in range(n - 1, -1, -1):
+        for k in range(i + 1, n):
+            vector[i] -= lower[k, i] * vector[k]
+        vector[i] /= lower[i, i]

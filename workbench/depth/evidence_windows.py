@@ -1,0 +1,177 @@
+"""Windows inside a region, and their pooled periodogram with the taper's own autocorrelation.
+
+A taper smears the spectrum and fills the zeros that carry the depth; the model is therefore smeared alike. That is
+cheap in the lag domain: the expected periodogram is the transform of the image's autocovariance times the taper's
+autocorrelation, whatever the taper's shape, so that windows may be cut by a region's outline, by holes and by
+saturated pixels.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import fft
+
+from workbench.depth.regions import edge_distance
+
+FloatArray = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+_FULL = 0.97
+"""Share of a Hann window's energy inside the region from which on it counts as unhindered."""
+
+
+@dataclass(frozen=True, slots=True)
+class Window:
+    """One square of the image: its top left corner (row, column; may lie outside) and its taper (N, N)."""
+
+    row: int
+    column: int
+    taper: NDArray[np.float32]
+    weight: float
+    """Energy of the taper relative to an unhindered one."""
+
+
+@dataclass(frozen=True, slots=True)
+class Pooled:
+    """Average periodogram of a region's windows.
+
+    Attributes
+    ----------
+    power
+        float64 (N, N // 2 + 1): squared modulus over the tapers' energy.
+    averages
+        Number of periodograms that the average is worth.
+    taper_lags
+        float64 (2 L + 1, 2 L + 1): autocorrelation of the tapers, 1 at zero lag, for lags up to L.
+    """
+
+    power: FloatArray
+    averages: float
+    taper_lags: FloatArray
+
+
+def hann(size: int) -> FloatArray:
+    """Hann taper float64 (N,), its zeros half a pixel outside."""
+    return np.asarray(np.sin(np.pi * (np.arange(size) + 0.5) / size) ** 2, np.float64)
+
+
+def place_windows(mask: Mask, size: int, *, margin_px: float, ramp_px: float, least_weight: float) -> list[Window]:
+    """Cover a region with half-overlapping windows.
+
+    Parameters
+    ----------
+    mask
+        bool (H, W): usable pixels of the region.
+    size
+        Side N of a window.
+    margin_px
+        Width of the strip along the region's edge that is kept out (the frame's border is no such edge).
+    ramp_px
+        Over this distance the taper rises where the outline cuts a window.
+    least_weight
+        Windows with less of a full Hann taper's energy are left out.
+
+    Returns
+    -------
+    list of Window
+        By decreasing weight; empty if nothing fits.
+    """
+    rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
+    if not rows.size:
+        return []
+    distance = edge_distance(mask)
+    soft = np.clip((distance - margin_px) / max(ramp_px, 1e-6), 0.0, 1.0)
+    soft = np.where(mask, soft * soft * (3.0 - 2.0 * soft), 0.0).astype(np.float32)  # smooth step
+    full = np.outer(hann(size), hann(size)).astype(np.float32)
+    energy = float((full**2).sum())
+    windows = []
+    for y in _starts(int(rows[0]), int(rows[-1]) + 1, size, mask.shape[0]):
+        for x in _starts(int(columns[0]), int(columns[-1]) + 1, size, mask.shape[1]):
+            cut = np.zeros((size, size), np.float32)
+            inside = soft[max(y, 0) : y + size, max(x, 0) : x + size]
+            cut[max(-y, 0) : max(-y, 0) + inside.shape[0], max(-x, 0) : max(-x, 0) + inside.shape[1]] = inside
+            taper = full * cut
+            weight = float((taper**2).sum()) / energy
+            if weight >= _FULL and not _holes(cut):
+                taper, weight = full, 1.0
+            if weight >= least_weight:
+                windows.append(Window(y, x, taper, weight))
+    return sorted(windows, key=lambda w: -w.weight)
+
+
+def _holes(cut: NDArray[np.float32]) -> bool:
+    return bool((cut[2:-2, 2:-2] <= 0).any())
+
+
+def _starts(first: int, last: int, size: int, limit: int) -> list[int]:
+    """Starts of windows that cover first..last with at least half overlap, inside the frame where it is large enough."""
+    length = last - first
+    if length <= size:
+        centred = first + (length - size) // 2
+        return [int(np.clip(centred, 0, max(limit - size, 0))) if limit >= size else centred]
+    count = int(np.ceil((length - size) / (size / 2))) + 1
+    return sorted({round(s) for s in np.linspace(first, last - size, count)})
+
+
+def cut_out(plane: NDArray[np.float32], row: int, column: int, height: int, width: int) -> FloatArray:
+    """Rectangle of a plane, mirrored where it reaches beyond the frame; float64 (height, width)."""
+    rows = _mirrored(np.arange(row, row + height), plane.shape[0])
+    columns = _mirrored(np.arange(column, column + width), plane.shape[1])
+    return np.asarray(plane[np.ix_(rows, columns)], np.float64)
+
+
+def _mirrored(index: NDArray[np.intp], length: int) -> NDArray[np.intp]:
+    period = 2 * length
+    folded = np.mod(index, period)
+    return np.asarray(np.where(folded < length, folded, period - 1 - folded), np.intp)
+
+
+def pooled_periodogram(plane: NDArray[np.float32], windows: list[Window], lags: int) -> Pooled:
+    """Average the windows' periodograms; a plane is fitted and subtracted under each taper first.
+
+    Parameters
+    ----------
+    plane
+        float32 (H, W).
+    windows
+        At least one.
+    lags
+        Longest lag (px) of the taper's autocorrelation that is needed.
+    """
+    size = windows[0].taper.shape[0]
+    total, energy, squares = np.zeros((size, size // 2 + 1)), 0.0, 0.0
+    correlation = np.zeros((2 * size, size + 1))
+    ramp = (np.arange(size) - (size - 1) / 2.0) / size
+    full: tuple[float, FloatArray] | None = None
+    for window in windows:
+        taper = window.taper.astype(np.float64)
+        patch = _flattened(cut_out(plane, window.row, window.column, size, size), taper, ramp)
+        total += np.abs(fft.rfft2(patch * taper)) ** 2
+        e = float((taper**2).sum())
+        energy += e
+        squares += e * e
+        if window.weight == 1.0 and full is not None:
+            correlation += full[1]
+        else:
+            spectrum = np.abs(fft.rfft2(taper, s=(2 * size, 2 * size))) ** 2
+            correlation += spectrum
+            if window.weight == 1.0:
+                full = e, spectrum
+    lag = fft.irfft2(correlation, s=(2 * size, 2 * size)) / energy
+    reach = min(lags, size - 1)
+    wanted = np.arange(-lags, lags + 1)
+    inside = np.abs(wanted) <= reach
+    picked = lag[np.ix_(wanted % (2 * size), wanted % (2 * size))] * np.outer(inside, inside)
+    return Pooled(total / energy, energy**2 / squares, np.asarray(picked, np.float64))
+
+
+def _flattened(patch: FloatArray, taper: FloatArray, ramp: FloatArray) -> FloatArray:
+    """Subtract the plane that fits best under the taper: shading is no texture."""
+    rows, columns = np.broadcast_to(ramp[:, np.newaxis], patch.shape), np.broadcast_to(ramp, patch.shape)
+    design = np.stack([np.ones(patch.size), rows.ravel(), columns.ravel()], axis=1)
+    weighted = design * taper.ravel()[:, np.newaxis]
+    fitted = np.linalg.solve(weighted.T @ design + 1e-9 * np.eye(3), weighted.T @ patch.ravel())
+    return np.asarray(patch - (design @ fitted).reshape(patch.shape), np.float64)
