@@ -7,12 +7,13 @@ from collections.abc import Sequence
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from rigs.simulated.lens import Lens, point_image, point_image_at_centre, transmission
 from rigs.simulated.sensor import FloatImage
 
-_NODES = 5
-"""Where the point image depends on the field, it is computed at 5 x 5 places and interpolated between them."""
+_NODE_SPACING_MM = 6.0
+"""Where the point image depends on the field, it is computed at most so far apart and interpolated between."""
 
 
 def blur(plane: FloatImage, kernel: FloatImage) -> FloatImage:
@@ -57,14 +58,15 @@ def blur_through(
         return [blur(plane, kernel) for plane in planes]
     result = [np.zeros_like(plane) for plane in planes]
     height, width = planes[0].shape
-    row_shares = _shares(corner_yx[0] + np.arange(height), frame_shape[0])
-    column_shares = _shares(corner_yx[1] + np.arange(width), frame_shape[1])
+    row_shares = _shares(corner_yx[0] + np.arange(height), frame_shape[0], pitch_mm)
+    column_shares = _shares(corner_yx[1] + np.arange(width), frame_shape[1], pitch_mm)
     for i, rows in enumerate(row_shares):
         for j, columns in enumerate(column_shares):
             if not rows.any() or not columns.any():
                 continue
-            field = _node_field_mm(i, j, frame_shape, pitch_mm)
-            kernel = point_image(lens, depth_mm, pitch_mm, field_mm=field).astype(np.float32)
+            y = (i / (len(row_shares) - 1) - 0.5) * frame_shape[0] * pitch_mm
+            x = (j / (len(column_shares) - 1) - 0.5) * frame_shape[1] * pitch_mm
+            kernel = point_image(lens, depth_mm, pitch_mm, field_mm=(x, -y)).astype(np.float32)
             for plane, total in zip(planes, result, strict=True):
                 total += blur(plane * rows[:, None] * columns[None, :], kernel)
     return result
@@ -86,12 +88,8 @@ def transmission_map(lens: Lens, pitch_mm: float, frame_shape: tuple[int, int]) 
     return np.asarray(cv2.resize(grid, (width, height), interpolation=cv2.INTER_CUBIC), np.float32)
 
 
-def _shares(position: np.ndarray[tuple[int, ...], np.dtype[np.int_]], length: int) -> list[FloatImage]:
+def _shares(position: NDArray[np.int_], length: int, pitch_mm: float) -> list[FloatImage]:
     """Weight of each node at pixel positions along one axis: linear between nodes, constant outside; they sum to 1."""
-    along = np.clip((position + 0.5) / length, 0.0, 1.0) * (_NODES - 1)
-    return [np.maximum(1.0 - np.abs(along - node), 0.0).astype(np.float32) for node in range(_NODES)]
-
-
-def _node_field_mm(i: int, j: int, frame_shape: tuple[int, int], pitch_mm: float) -> tuple[float, float]:
-    y, x = (i / (_NODES - 1) - 0.5) * frame_shape[0], (j / (_NODES - 1) - 0.5) * frame_shape[1]
-    return x * pitch_mm, -y * pitch_mm
+    nodes = 1 + max(2, math.ceil(length * pitch_mm / _NODE_SPACING_MM))
+    along = np.clip((position + 0.5) / length, 0.0, 1.0) * (nodes - 1)
+    return [np.maximum(1.0 - np.abs(along - node), 0.0).astype(np.float32) for node in range(nodes)]

@@ -2,9 +2,11 @@ import math
 
 import numpy as np
 import pytest
+from matplotlib.path import Path as Outline
 
 from rigs.errors import ConfigError
-from rigs.simulated.lens import Lens, point_image
+from rigs.simulated.blur import blur_through
+from rigs.simulated.lens import Lens, PolygonPupil, point_image
 from rigs.simulated.rig import render_scene_frame
 from rigs.simulated.scene import Scene, SceneObject, scene_light, scene_truth
 from rigs.simulated.scenes import four_objects, plane_scene, rectangle, scene_by_name
@@ -78,7 +80,6 @@ def test_background_past_the_edge_of_a_near_object_is_seen_through_part_of_the_p
     row = scene_light(scene, lens, shape, PITCH_MM)[20]
     grid = (np.arange(400) + 0.5) / 400 * 14 - 7
     x, y = np.meshgrid(grid, grid)
-    from matplotlib.path import Path as Outline
 
     inside = Outline(lens.pupil.loops_mm[0]).contains_points(np.stack([x.ravel(), y.ravel()], 1)).reshape(x.shape)
     shift = lens.cone_section(near_mm) * x[inside] / PITCH_MM
@@ -177,9 +178,25 @@ def test_an_unknown_scene_is_refused_with_the_way_out(name: str, word: str) -> N
 def test_wide_pupils_of_a_pair_see_the_same_scene_differently() -> None:
     half = math.pi / 16
     arcs = [tuple((7 * math.cos(a), s * 7 * math.sin(a)) for a in np.arange(0, 17) * half) for s in (1, -1)]
-    from rigs.simulated.lens import PolygonPupil
 
     images = [
         scene_light(plane_scene("text", 3000.0), Lens(pupil=PolygonPupil((arc,))), (64, 64), PITCH_MM) for arc in arcs
     ]
     assert np.abs(images[0] - images[1]).max() > 0.02
+
+
+def test_a_field_dependent_lens_keeps_light_and_blurs_each_place_its_own_way() -> None:
+    lens, shape = Lens(coma_um=20.0), (64, 1600)
+    dots = np.zeros(shape, np.float32)
+    for column in (100, 800, 1500):
+        dots[32, column] = 1.0
+    (image,) = blur_through(lens, 1600.0, PITCH_MM, [dots], (0, 0), shape)
+    assert image.sum() == pytest.approx(3.0, rel=1e-4)
+    columns = np.arange(1600)
+    for column in (100, 800, 1500):
+        part = image[:, column - 60 : column + 61]
+        drift = float((part.sum(axis=0) * columns[column - 60 : column + 61]).sum() / part.sum()) - column
+        kernel = point_image(lens, 1600.0, PITCH_MM, field_mm=((column + 0.5 - 800) * PITCH_MM, 0.0)).sum(axis=0)
+        half = kernel.size // 2
+        assert drift == pytest.approx(float((kernel * np.arange(-half, half + 1)).sum()), abs=0.1)
+    assert drift > 0.3
