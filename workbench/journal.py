@@ -77,9 +77,9 @@ class Journal:
         self._last = self.records[-1]["hash"] if self.records else ""
         self._handle = path.open("ab", buffering=0)
 
-    def append(self, kind: str, **values: Any) -> None:
+    def append(self, record_type: str, /, **values: Any) -> None:
         """Write one record and wait until it is on disk."""
-        record: dict[str, Any] = {"n": len(self.records) + 1, "t": round(time.time(), 3), "type": kind, **values}
+        record: dict[str, Any] = {"n": len(self.records) + 1, "t": round(time.time(), 3), "type": record_type, **values}
         record["prev"] = self._last
         record["hash"] = _hash(record)
         line = json.dumps(record, separators=(",", ":"), ensure_ascii=False, allow_nan=False).encode() + b"\n"

@@ -16,7 +16,7 @@ from calibration.bank import Bank, check_fits
 from calibration.image import LinearImage
 from calibration.raw import develop
 from workbench.depth.allfocus import all_focus, depth_map
-from workbench.depth.methods import estimate_depths, option_values
+from workbench.depth.methods import DEFAULT_METHOD, estimate_depths, option_values
 from workbench.depth.regions import SrmOptions, from_roi, srm, whole
 from workbench.display import to_srgb8
 from workbench.errors import InputError
@@ -30,7 +30,7 @@ from workbench.report import write_measurement_report
 class MeasureOptions:
     """What the operator chose for a measurement."""
 
-    method: str = "evidence"
+    method: str = DEFAULT_METHOD
     method_options: tuple[tuple[str, str], ...] = ()
     """``--set name=value`` pairs of the method."""
     roi: tuple[int, int, int, int] | None = None

@@ -41,6 +41,11 @@ class Project:
         """One directory per measured photograph."""
         return self.root / "measurements"
 
+    @property
+    def photographs(self) -> Path:
+        """RAW files of scenes that the rig's camera took."""
+        return self.root / "photographs"
+
     def config(self) -> RigConfig:
         """Validated rig.yaml."""
         return load_rig_config(self.rig_file)

@@ -17,7 +17,9 @@ COMMANDS = {
     "calibrate": "workbench.cli.rig:calibrate",
     "resume": "workbench.cli.rig:resume",
     "measure": "workbench.cli.measure:measure",
+    "capture": "workbench.cli.measure:capture",
     "bank": "workbench.cli.banks:bank",
+    "demo": "workbench.cli.demo:demo",
 }
 
 

@@ -59,7 +59,10 @@ class Context:
     @property
     def console(self) -> Console:
         """Where people read: stdout, or stderr when stdout belongs to a machine."""
-        return Console(stderr=self.json, soft_wrap=True, highlight=False)
+        console = Console(stderr=self.json, soft_wrap=True, highlight=False)
+        if not console.is_terminal:
+            console.width = 160  # a file or pipe has no edge: tables keep their words whole
+        return console
 
     def say(self, text: str = "") -> None:
         """A line for people."""
@@ -77,9 +80,11 @@ class Context:
 
     def table(self, columns: Sequence[str], rows: Iterable[Sequence[object]], title: str | None = None) -> None:
         """A table for people; the first column is left aligned, the others right."""
-        table = Table(title=title, title_justify="left", box=None, pad_edge=False, header_style="bold")
+        table = Table(
+            title=title, title_justify="left", box=None, pad_edge=False, header_style="bold", show_header=any(columns)
+        )
         for index, name in enumerate(columns):
-            table.add_column(name, justify="left" if index == 0 else "right", no_wrap=True)
+            table.add_column(name, justify="right" if index and any(columns) else "left", no_wrap=True)
         for row in rows:
             table.add_row(*(str(cell) for cell in row))
         self.console.print(table)

@@ -1,14 +1,22 @@
-"""measure: one photograph in, absolute depths out."""
+"""measure and capture: one photograph in, absolute depths out."""
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
+from typing import Any
 
 import click
 
+from calibration.bank import Bank
+from workbench.banks import open_bank
 from workbench.cli.common import Context, command_options
-from workbench.depth.methods import DEFAULT_METHOD
-from workbench.units import cm
+from workbench.depth.methods import DEFAULT_METHOD, make_options
+from workbench.measure import MeasureOptions, save
+from workbench.measure import measure as measure_one
+from workbench.measurement import Measurement
+from workbench.project import Project
+from workbench.units import cm, exposure_text
 
 
 def parse_roi(_ctx: click.Context, _param: click.Parameter, text: str | None) -> tuple[int, int, int, int] | None:
@@ -33,57 +41,99 @@ def parse_settings(_ctx: click.Context, _param: click.Parameter, texts: tuple[st
     return tuple(pairs)
 
 
+def measure_options(function: click.decorators.FC) -> click.decorators.FC:
+    """What can be chosen for a measurement, shared by measure and capture."""
+    for option in reversed(
+        (
+            click.option("--bank", "bank_ref", default="active", show_default=True,
+                         help="Bank id, version (v3) or active."),
+            click.option("--method", default=DEFAULT_METHOD, show_default=True, help="Depth estimator."),
+            click.option("--set", "settings", multiple=True, callback=parse_settings, metavar="NAME=VALUE",
+                         help="Option of the method; repeatable."),
+            click.option("--roi", callback=parse_roi, metavar="X,Y,W,H",
+                         help="Measure this rectangle of the developed image."),
+            click.option("--labels", type=click.Path(path_type=Path), help="Label image: regions to measure."),
+            click.option("--whole", is_flag=True, help="Take the whole frame as one region."),
+            click.option("--q", "srm_q", type=click.FloatRange(min=0.1), default=32.0, show_default=True,
+                         help="Region merging: larger finds more regions."),
+            click.option("--out", type=click.Path(path_type=Path, file_okay=False), help="Directory for the files."),
+        )
+    ):  # fmt: skip
+        function = option(function)
+    return function
+
+
 @click.command()
 @click.argument("raws", metavar="RAW...", nargs=-1, required=True, type=click.Path(path_type=Path))
-@click.option("--bank", "bank_ref", default="active", show_default=True, help="Bank id, version (v3) or active.")
-@click.option("--method", default=DEFAULT_METHOD, show_default=True, help="Depth estimator.")
-@click.option("--set", "settings", multiple=True, callback=parse_settings, metavar="NAME=VALUE",
-              help="Option of the method; repeatable.")  # fmt: skip
-@click.option("--roi", callback=parse_roi, metavar="X,Y,W,H", help="Measure this rectangle of the developed image.")
-@click.option("--labels", type=click.Path(path_type=Path), help="Label image: regions to measure.")
-@click.option("--whole", is_flag=True, help="Take the whole frame as one region.")
-@click.option("--q", "srm_q", type=click.FloatRange(min=0.1), default=32.0, show_default=True,
-              help="Region merging: larger finds more regions.")  # fmt: skip
-@click.option("--out", type=click.Path(path_type=Path, file_okay=False), help="Directory for the files.")
+@measure_options
 @command_options
-def measure(
-    context: Context, raws: tuple[Path, ...], bank_ref: str, method: str, settings: tuple[tuple[str, str], ...],
-    roi: tuple[int, int, int, int] | None, labels: Path | None, whole: bool, srm_q: float, out: Path | None,
-) -> None:  # fmt: skip
+def measure(context: Context, raws: tuple[Path, ...], out: Path | None, **chosen: Any) -> None:
     """Measure the depth of what ONE defocused photograph shows."""
-    from workbench.banks import open_bank
-    from workbench.depth.methods import make_options
-    from workbench.measure import MeasureOptions, save
-    from workbench.measure import measure as measure_one
+    project, bank, bank_ref, options = _prepare(context, **chosen)
+    photographs = [context.existing(path, "photograph") for path in raws]
+    for path in photographs:
+        directory = out / path.stem if out and len(raws) > 1 else out
+        measure_photograph(context, project, bank, bank_ref, options, path, directory)
 
+
+@click.command()
+@measure_options
+@command_options
+def capture(context: Context, out: Path | None, **chosen: Any) -> None:
+    """Photograph the scene with the rig, then measure it."""
+    from workbench.devices import open_scene_camera
+    from workbench.photograph import next_photograph, photograph
+
+    project, bank, bank_ref, options = _prepare(context, **chosen)
+    config = project.config()
+    with project.lock_rig():
+        camera, _ = open_scene_camera(config, tell=context.note)
+        try:
+            taken = photograph(camera, next_photograph(project.photographs), base_iso=config.camera.iso)
+        finally:
+            camera.close()
+    context.note(f"{taken.path}: {exposure_text(taken.exposure.time_s)}, ISO {taken.exposure.iso}")
+    measure_photograph(context, project, bank, bank_ref, options, taken.path, out)
+
+
+def _prepare(
+    context: Context, *, bank_ref: str, method: str, settings: tuple[tuple[str, str], ...],
+    roi: tuple[int, int, int, int] | None, labels: Path | None, whole: bool, srm_q: float,
+) -> tuple[Project, Bank, str, MeasureOptions]:  # fmt: skip
+    """Check everything that can be checked before a file is read or a camera is opened."""
     project = context.project()
     make_options(method, dict(settings))
-    photographs = [context.existing(path, "photograph") for path in raws]
     labels = context.existing(labels, "label image") if labels else None
     options = MeasureOptions(method, settings, roi, labels, whole, srm_q)
     bank, _ = open_bank(project, bank_ref)
-    for path in photographs:
-        measurement = measure_one(path, bank, bank_ref, options)
-        directory = out / path.stem if out and len(raws) > 1 else out
-        measurement = save(measurement, bank, project, directory)
-        context.emit(measurement.as_json(project.relative))
-        rows = [
-            (
-                str(label),
-                cm(e.depth_mm),
-                f"{cm(e.interval_mm[0])} to {cm(e.interval_mm[1])}",
-                f"{e.confidence:.2f}",
-                cm(e.mirror_mm),
-                str(e.pixels),
-                e.status,
-            )
-            for label, e in sorted(measurement.estimates.items())
-        ]
-        context.table(
-            ("region", "depth", "95 % interval", "confidence", "mirror", "pixels", "status"), rows,
-            title=f"{path.name}: {method}, bank {bank.id[:12]}, {measurement.seconds:.1f} s",
-        )  # fmt: skip
-        for label, estimate in sorted(measurement.estimates.items()):
-            if estimate.reason:
-                context.say(f"region {label}: {estimate.reason}")
-        context.say(f"report: {measurement.files['report']}")
+    return project, bank, bank_ref, options
+
+
+def measure_photograph(
+    context: Context, project: Project, bank: Bank, bank_ref: str, options: MeasureOptions, path: Path,
+    out: Path | None,
+) -> Measurement:  # fmt: skip
+    """Measure one photograph, write its files, show the result."""
+    measurement = save(measure_one(path, bank, bank_ref, options), bank, project, out)
+    context.emit(measurement.as_json(project.relative))
+    rows = [
+        (
+            str(label),
+            cm(e.depth_mm),
+            f"{cm(e.interval_mm[0])} to {cm(e.interval_mm[1])}" if math.isfinite(e.interval_mm[0]) else "-",
+            f"{e.confidence:.2f}",
+            cm(e.mirror_mm),
+            str(e.pixels),
+            e.status,
+        )
+        for label, e in sorted(measurement.estimates.items())
+    ]
+    context.table(
+        ("region", "depth", "95 % interval", "confidence", "mirror", "pixels", "status"), rows,
+        title=f"{path.name}: {options.method}, bank {bank.id}, {measurement.seconds:.1f} s",
+    )  # fmt: skip
+    for label, estimate in sorted(measurement.estimates.items()):
+        if estimate.reason:
+            context.say(f"region {label}: {estimate.reason}")
+    context.say(f"report: {measurement.files['report']}")
+    return measurement

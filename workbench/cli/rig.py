@@ -104,7 +104,7 @@ def calibrate(
     made = make_plan(config, from_mm=from_mm, to_mm=to_mm, step_mm=step_mm, repeats=repeats)
     session = project.new_session_id()
     create_session(project.sessions / session, made)
-    _run_session(context, project, session)
+    run_session(context, project, session)
 
 
 @click.command()
@@ -113,10 +113,11 @@ def calibrate(
 def resume(context: Context, session: str | None) -> None:
     """Go on with a session (default: the newest) where its journal stops."""
     project = context.project()
-    _run_session(context, project, session or project.latest_session())
+    run_session(context, project, session or project.latest_session())
 
 
-def _run_session(context: Context, project: Project, session: str) -> None:
+def run_session(context: Context, project: Project, session: str) -> None:
+    """Take what is missing of a session, make and show its bank."""
     from calibration.raw import develop
     from workbench.calibrate import calibrate_session
     from workbench.devices import open_rig

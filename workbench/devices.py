@@ -1,0 +1,123 @@
+"""From rig.yaml to devices: the one place that knows which driver belongs to which ``kind``."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass, field
+
+from rigs.errors import RigError
+from rigs.protocols import Camera, Panel, Stage
+from rigs.rig import DepthAxis, Rig
+from rigs.simulated.devices import SimulatedCamera, SimulatedPanel, SimulatedStage
+from rigs.simulated.panel_view import PanelSurface
+from rigs.simulated.scene import SceneTruth, scene_truth
+from rigs.simulated.scenes import scene_by_name
+from rigs.simulated.world import SimulatedRigSettings, SimulatedWorld
+from workbench.config import RigConfig
+
+Tell = Callable[[str], None]
+
+
+def simulated_world(config: RigConfig) -> SimulatedWorld:
+    """The world that the simulated devices of this rig share."""
+    truth, depth = config.simulation, config.stage.depth
+    return SimulatedWorld(
+        SimulatedRigSettings(
+            preset=truth.preset,
+            seed=truth.seed,
+            focal_length_mm=config.optics.focal_length_mm,
+            focus_mm=truth.focus_mm,
+            vignetting=truth.vignetting,
+            coma=truth.coma,
+            focus_breathing=truth.focus_breathing,
+            stage_offset_mm=depth.offset_mm,
+            stage_sign=depth.sign,
+            stage_scale=depth.scale,
+            stage_zero_mm=truth.stage_zero_mm,
+            stage_repeatability_mm=truth.stage_repeatability_mm,
+            surface=PanelSurface(pitch_mm=config.panel.pixel_pitch_mm),
+            ambient=truth.ambient,
+            scene=truth.scene,
+        )
+    )
+
+
+@dataclass
+class _Opening:
+    """Devices opened so far, so that a failure half way closes them."""
+
+    config: RigConfig
+    tell: Tell
+    opened: list[Camera | Stage | Panel] = field(default_factory=list)
+    _world: SimulatedWorld | None = None
+
+    @property
+    def world(self) -> SimulatedWorld:
+        """One world for all simulated devices."""
+        if self._world is None:
+            self._world = simulated_world(self.config)
+        return self._world
+
+
+def open_scene_camera(config: RigConfig, *, tell: Tell) -> tuple[Camera, SceneTruth | None]:
+    """Open the camera alone, looking at the scene; a simulated scene comes with its truth.
+
+    Raises
+    ------
+    RigError
+        The camera is missing, busy or wrong; or there is no scene of the configured name.
+    """
+    opening = _Opening(config, tell)
+    if config.camera.kind != "simulated":
+        return open_camera(opening), None
+    world = opening.world
+    scene = scene_by_name(config.simulation.scene, config.simulation.seed)
+    world.subject = scene
+    return open_camera(opening), scene_truth(scene, world.sensor.shape)
+
+
+def open_rig(config: RigConfig, *, tell: Tell) -> Rig:
+    """Open the devices that rig.yaml names.
+
+    Parameters
+    ----------
+    config
+        The rig.
+    tell
+        Shows the operator a line (the panel's address, a request to move a manual stage).
+
+    Raises
+    ------
+    RigError
+        A device is missing, busy or wrong; whatever was opened before is closed again.
+    """
+    opening = _Opening(config, tell)
+    try:
+        camera = open_camera(opening)
+        opening.opened.append(camera)
+        stage = open_stage(opening)
+        opening.opened.append(stage)
+        panel = open_panel(opening)
+    except BaseException:
+        for device in reversed(opening.opened):
+            with suppress(RigError):
+                device.close()
+        raise
+    depth = config.stage.depth
+    return Rig(camera, stage, panel, DepthAxis(depth.offset_mm, depth.sign, depth.scale))
+
+
+def open_camera(opening: _Opening) -> Camera:
+    """The camera of rig.yaml."""
+    return SimulatedCamera(opening.world)
+
+
+def open_stage(opening: _Opening) -> Stage:
+    """The stage of rig.yaml."""
+    return SimulatedStage(opening.world)
+
+
+def open_panel(opening: _Opening) -> Panel:
+    """The panel of rig.yaml."""
+    return SimulatedPanel(opening.world)
