@@ -17,6 +17,7 @@ from calibration.bank import Bank
 from calibration.errors import CalibrationError
 from calibration.image import LinearImage
 from workbench.depth.estimate import DepthEstimate
+from workbench.depth.evidence import EvidenceOptions, estimate_evidence
 from workbench.depth.sharpness import SharpnessOptions, estimate_sharpness
 
 Estimator = Callable[[LinearImage, Bank, NDArray[np.int32], Any], dict[int, DepthEstimate]]
@@ -46,9 +47,12 @@ class Method:
 
 METHODS: dict[str, Method] = {
     method.name: method
-    for method in (Method("sharpness", "Kim 2021, sharpness assessment", estimate_sharpness, SharpnessOptions),)
+    for method in (
+        Method("evidence", "this project, docs/explanation/evidence.md", estimate_evidence, EvidenceOptions),
+        Method("sharpness", "Kim 2021, sharpness assessment", estimate_sharpness, SharpnessOptions),
+    )
 }
-DEFAULT_METHOD = "sharpness"
+DEFAULT_METHOD = "evidence"
 
 
 class MethodError(CalibrationError):
@@ -90,6 +94,10 @@ def _convert(name: str, text: str, kind: Any) -> Any:
         if text not in choices:
             raise MethodError(f"--set {name}={text}: choose one of {', '.join(map(str, choices))}")
         return text
+    if typing.get_origin(kind) is tuple:
+        return tuple(_convert(name, part.strip(), typing.get_args(kind)[0]) for part in text.split(","))
+    if dataclasses.is_dataclass(kind):
+        raise MethodError(f"--set {name}: is made of several numbers and can't be set from the command line")
     if kind is bool:
         if text.lower() not in ("true", "false", "yes", "no"):
             raise MethodError(f"--set {name}={text}: give true or false")
