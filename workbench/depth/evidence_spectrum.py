@@ -304,13 +304,9 @@ def _scan(
             for j in range(p + 1):
                 hessian[j, j] = 1.02 * hessian[j, j] + 1e-3
             _solve(hessian, gradient)
-            longest = 0.0
-            for j in range(p + 1):
-                longest = max(longest, abs(gradient[j]))
-            shorter = 2.0 / longest if longest > 2.0 else 1.0
-            for j in range(p):
-                theta[j] += shorter * gradient[j]
-            log_noise += shorter * gradient[p]
+            shorter = min(1.0, 2.0 / max(float(np.abs(gradient).max()), 1e-9))
+            theta += shorter * gradient[:p]
+            log_noise += shorter * float(gradient[p])
         likelihood[d], noises[d] = total, log_noise
         coefficients[d] = theta
     return likelihood, coefficients, noises

@@ -107,7 +107,7 @@ def _holes(cut: NDArray[np.float32]) -> bool:
 
 
 def _starts(first: int, last: int, size: int, limit: int) -> list[int]:
-    """Starts of windows that cover first..last with at least half overlap, inside the frame where it is large enough."""
+    """Starts of windows that cover first..last with at least half overlap, inside the frame where it is large."""
     length = last - first
     if length <= size:
         centred = first + (length - size) // 2

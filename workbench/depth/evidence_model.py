@@ -1,0 +1,191 @@
+"""A bank made ready for measuring by evidence: autocorrelations on a fine grid of radii, and what was learned."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import fft
+
+from calibration.bank import Bank
+from calibration.pupil import PsfModel, PupilModel, psf_model
+from workbench.depth.evidence_side import FAMILIES
+
+FloatArray = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+LEARNED = "evidence_learned"
+"""Name of :class:`Learned` among a bank's extras."""
+
+
+@dataclass(frozen=True, slots=True)
+class EvidenceOptions:
+    """What may be chosen.
+
+    Attributes
+    ----------
+    window_px, smallest_window_px
+        Side of the windows; halved down to the smallest for regions that don't hold one.
+    least_weight
+        A window is used if the region leaves it this share of a full taper's energy.
+    margin
+        Strip along the region's edge that is kept out, as a fraction of the root of its area ...
+    margin_px
+        ... but at most this many pixels.
+    radius_step_px
+        Step of the grid of radii.
+    side_windows
+        Windows that are deconvolved, at most.
+    ambiguous_below
+        With less probability than this in the best mode a region is ambiguous.
+    least_evidence
+        Log-likelihood that texture must gain over noise alone.
+    max_saturated
+        Larger fractions of saturated pixels refuse the region.
+    factor_spread, factor_wide_share, factor_wide_spread
+        Distribution of the texture's factor per frequency (:class:`TextureFactor`).
+    """
+
+    window_px: int = 128
+    smallest_window_px: int = 64
+    least_weight: float = 0.3
+    margin: float = 0.04
+    margin_px: float = 24.0
+    radius_step_px: float = 0.3
+    side_windows: int = 9
+    ambiguous_below: float = 0.95
+    least_evidence: float = 12.0
+    max_saturated: float = 0.1
+    factor_spread: float = 0.5
+    factor_wide_share: float = 0.1
+    factor_wide_spread: float = 2.5
+
+
+@dataclass(frozen=True, slots=True)
+class Learned:
+    """What is learned from the bank (:mod:`workbench.depth.evidence_learn`); the defaults are sane for any.
+
+    Attributes
+    ----------
+    temperature
+        Factor on the spectral log-likelihood: its frequencies are neither independent nor quite as modelled.
+    size_power
+        Sparseness counts in proportion to this power of the number of pixels over 128 x 128.
+    floor_px
+        Standard error of the radius that no evidence undercuts.
+    outlier
+        Probability that the whole reasoning fails.
+    side_weights
+        Per filter family: log-odds of a side per unit of sparseness that it gains over the other.
+    mode_weights
+        Per filter family: log-likelihood of a radius per unit of sparseness.
+    """
+
+    temperature: float = 0.4
+    size_power: float = 0.25
+    floor_px: float = 0.03
+    outlier: float = 0.003
+    side_weights: tuple[float, ...] = (20.0, 30.0, 30.0, 5.0, 15.0, 10.0)
+    mode_weights: tuple[float, ...] = (10.0, 25.0, 0.0, 0.0, 40.0, 0.0)
+
+    def as_array(self) -> FloatArray:
+        """Plain numbers, for a bank's extras."""
+        return np.array([self.temperature, self.size_power, self.floor_px, self.outlier,
+                         *self.side_weights, *self.mode_weights])  # fmt: skip
+
+    @classmethod
+    def from_array(cls, values: NDArray[np.floating]) -> Learned:
+        """Inverse of :meth:`as_array`."""
+        numbers, families = [float(v) for v in values], len(FAMILIES)
+        temperature, size_power, floor_px, outlier = numbers[:4]
+        weights = tuple(numbers[4 : 4 + families]), tuple(numbers[4 + families :])
+        return cls(temperature, size_power, floor_px, outlier, *weights)
+
+
+@dataclass(frozen=True, slots=True)
+class DepthModel:
+    """A bank made ready for measuring.
+
+    Attributes
+    ----------
+    psfs
+        PSF at any depth.
+    sigma_px
+        float64 (G,): ascending grid of signed radii.
+    depths_mm
+        float64 (G,): their depths.
+    row_of
+        intp (G,): row of ``kernel_lags`` for each signed radius.
+    row_radius_px
+        float64 (R,): |radius| of each row, or the signed one where the sides are not mirror images.
+    kernel_lags
+        float32 (R, 2 L + 1, 2 L + 1): autocorrelations of the PSFs, their error included.
+    sigma_se_px
+        float64 (G,): standard error of the radius from the lens fit.
+    """
+
+    psfs: PsfModel
+    sigma_px: FloatArray
+    depths_mm: FloatArray
+    row_of: NDArray[np.intp]
+    row_radius_px: FloatArray
+    kernel_lags: NDArray[np.float32]
+    sigma_se_px: FloatArray
+
+    @property
+    def mirrored(self) -> Mask:
+        """bool (R,): rows whose radius occurs on both sides of focus within the grid."""
+        if self.row_radius_px.size == self.sigma_px.size:  # sides are not mirror images: a row each
+            return np.asarray(np.abs(self.row_radius_px) <= min(-self.sigma_px[0], self.sigma_px[-1]))
+        return np.asarray(np.bincount(self.row_of, minlength=self.row_radius_px.size) > 1)
+
+    def depth_mm(self, sigma_px: float) -> float:
+        """Depth of a signed radius."""
+        far, near = self.psfs.radius_px(1e12), self.psfs.radius_px(1.0)
+        return (near - far) / (sigma_px - far)
+
+
+def prepare(bank: Bank, options: EvidenceOptions, field_index: int | None = None) -> DepthModel:
+    """Compute the autocorrelations of a bank's PSFs on a fine grid of radii.
+
+    The grid reaches half a pixel of radius beyond the bank's planes, so that a depth at their end has two sides.
+    """
+    psfs = psf_model(bank, field_index)
+    nearest, farthest = psfs.radius_px(float(bank.depths_mm[0])), psfs.radius_px(float(bank.depths_mm[-1]))
+    step = options.radius_step_px
+    low, high = int(np.floor((nearest - 0.5) / step)), int(np.ceil((farthest + 0.5) / step))
+    index = np.arange(low, high + 1)
+    sigma = np.asarray((index + 0.5) * step, np.float64)
+    if isinstance(psfs, PupilModel):  # the near side is the far side turned over: one row for both
+        row_of = np.where(index < 0, -1 - index, index)
+        row_of -= row_of.min()
+        # the side that reaches farther gives the rows' PSFs
+        rows = sigma[index >= 0] if high >= -1 - low else sigma[index < 0][::-1]
+        radius = np.abs(rows)
+    else:
+        row_of, rows, radius = index - low, sigma, sigma
+    far, near = psfs.radius_px(1e12), psfs.radius_px(1.0)
+    depths = (near - far) / (sigma - far)
+    size = int(bank.psf.shape[2]) + 4
+    error = float(np.clip(np.nanmedian(psfs.residual), 0.01, 0.2))
+    lags = [_autocorrelation(psfs.psf_at(float((near - far) / (r - far)), size), error) for r in rows]
+    lens = bank.lens
+    se = np.hypot(lens.scale_se_px * (1.0 - lens.focus_mm / depths), lens.scale_px * lens.focus_se_mm / depths)
+    return DepthModel(psfs, sigma, depths, row_of, radius, np.stack(lags), se)
+
+
+def _autocorrelation(psf: NDArray[np.float32], error: float) -> NDArray[np.float32]:
+    k = psf.shape[0]
+    size = fft.next_fast_len(2 * k, real=True)
+    lags = fft.irfft2(np.abs(fft.rfft2(psf.astype(np.float64), s=(size, size))) ** 2, s=(size, size))
+    index = np.arange(-(k - 1), k) % size
+    lags = lags[np.ix_(index, index)]
+    lags[k - 1, k - 1] *= 1.0 + error**2  # the PSF's own error, white for want of better knowledge
+    return np.asarray(lags, np.float32)
+
+
+def learned_of(bank: Bank) -> Learned:
+    """What the bank holds of :class:`Learned`, or its defaults."""
+    stored = bank.extras.get(LEARNED)
+    return Learned() if stored is None else Learned.from_array(stored)

@@ -1,0 +1,150 @@
+"""From scores of radii to depth, interval, mirror and status."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+from scipy.special import expit
+
+from workbench.depth.estimate import DepthEstimate, Status
+from workbench.depth.evidence_model import DepthModel, EvidenceOptions, Learned
+
+FloatArray = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+_FINER = 8
+"""The posterior's grid is finer than the likelihood's by this factor."""
+
+
+def mode_scores(sparse: FloatArray, mirrored: Mask, pixels: float, learned: Learned) -> tuple[FloatArray, FloatArray]:
+    """Log-likelihood that sparseness adds to each mode, on the far and on the near side.
+
+    Parameters
+    ----------
+    sparse
+        float64 (M, 2, F): :func:`side_features` of each mode.
+    mirrored
+        bool (M,): whether both sides are within the bank's reach. Twice the side's probability counts there: no gain
+        and no loss where the two restorations don't differ.
+    pixels
+        Pixels' worth of information.
+    learned
+        Weights.
+    """
+    scale = (pixels / 16384.0) ** learned.size_power
+    odds = scale * (sparse[:, 1] - sparse[:, 0]) @ np.array(learned.side_weights)
+    own = -scale * sparse @ np.array(learned.mode_weights)
+    far, near = (np.where(mirrored, np.log(2.0 * expit(sign * odds) + 1e-9), 0.0) for sign in (1.0, -1.0))
+    return far + own[:, 0], near + own[:, 1]
+
+
+def find_modes(
+    log_likelihood: FloatArray, radius_px: FloatArray, *, depth: float = 70.0, apart_px: float = 1.5, most: int = 5
+) -> list[int]:
+    """Rows of the highest local maxima, at least ``apart_px`` (and a twentieth of the radius) apart, best first."""
+    padded = np.concatenate([[-np.inf], log_likelihood, [-np.inf]])
+    peaks = np.flatnonzero((padded[1:-1] >= padded[:-2]) & (padded[1:-1] >= padded[2:]))
+    found: list[int] = []
+    for peak in peaks[np.argsort(-log_likelihood[peaks])]:
+        if log_likelihood[peak] < log_likelihood.max() - depth or len(found) == most:
+            break
+        gap = max(apart_px, 0.05 * abs(radius_px[peak]))
+        if all(abs(radius_px[peak] - radius_px[other]) >= gap for other in found):
+            found.append(int(peak))
+    return found
+
+
+def signed_posterior(
+    log_rows: FloatArray, modes: list[int], far: FloatArray, near: FloatArray, model: DepthModel
+) -> tuple[FloatArray, FloatArray]:
+    """Unnormalised log posterior on a finer grid of signed radii, from the rows' and the modes' log-likelihoods.
+
+    Between the modes the nearest one's sparseness holds.
+    """
+    nearest = np.abs(np.arange(log_rows.size)[:, np.newaxis] - np.array(modes)).argmin(axis=1)
+    sigma = model.sigma_px
+    side = np.where(sigma > 0, far[nearest][model.row_of], near[nearest][model.row_of])
+    fine = np.linspace(sigma[0], sigma[-1], (sigma.size - 1) * _FINER + 1)
+    closest = np.clip(np.rint((fine - sigma[0]) / (sigma[1] - sigma[0])).astype(int), 0, sigma.size - 1)
+    return fine, CubicSpline(sigma, log_rows[model.row_of])(fine) + side[closest]
+
+
+def summarise(
+    sigma: FloatArray,
+    log_post: FloatArray,
+    pixels: int,
+    model: DepthModel,
+    learned: Learned,
+    options: EvidenceOptions,
+    diagnostics: dict[str, FloatArray],
+) -> DepthEstimate:
+    """Depth, interval, mirror and status from a log posterior over signed radii (float64 (G,), even steps)."""
+    step = float(sigma[1] - sigma[0])
+    density = np.exp(log_post - log_post.max())
+    density /= density.sum()
+    best = int(density.argmax())
+    se = float(np.hypot(learned.floor_px, np.interp(sigma[best], model.sigma_px, model.sigma_se_px)))
+    reach = int(np.ceil(4 * se / step))
+    blur = np.exp(-0.5 * (np.arange(-reach, reach + 1) * step / se) ** 2)
+    density = np.convolve(density, blur / blur.sum(), mode="same")
+    density = (1.0 - learned.outlier) * density / density.sum() + learned.outlier / density.size
+    modes = _split(density, step)
+    masses = [float(density[a:b].sum()) for a, b in modes]
+    order = np.argsort(masses)[::-1]
+    first, last = modes[int(order[0])]
+    share = density[first:last] / density[first:last].sum()
+    centre = float((share * sigma[first:last]).sum())
+    depth = model.depth_mm(centre)
+    low, high = _hull(density, 0.95)
+    interval = tuple(sorted(model.depth_mm(float(np.clip(s, sigma[0], sigma[-1])))
+                            for s in (sigma[low] - step / 2, sigma[high] + step / 2)))  # fmt: skip
+    mirror, mirror_probability = float("nan"), 0.0
+    if abs(centre) > 2 * se and sigma[0] <= -centre <= sigma[-1]:
+        mirror = model.depth_mm(-centre)
+        around = np.abs(sigma + centre) < max(6 * se, 1.0)
+        around &= np.sign(sigma) == -np.sign(centre)
+        mirror_probability = float(density[around].sum())
+    second = float("nan")
+    if len(modes) > 1 and masses[int(order[1])] > 1e-4:
+        start, stop = modes[int(order[1])]
+        second = model.depth_mm(float(sigma[start + int(density[start:stop].argmax())]))
+    mass = masses[int(order[0])]
+    status: Status = "ok" if mass >= options.ambiguous_below else "ambiguous"
+    reason = ""
+    if status == "ambiguous":
+        other = mirror if mirror_probability > 0.5 * (1.0 - mass) else second
+        reason = f"{1 - mass:.0%} probability of another depth, most likely {other / 10:.0f} cm"
+    coarse = np.zeros(model.sigma_px.size)
+    np.add.at(coarse, np.clip(np.rint((sigma - sigma[0]) / (step * _FINER)).astype(int), 0, coarse.size - 1), density)
+    return DepthEstimate(
+        depth_mm=depth,
+        interval_mm=(float(interval[0]), float(interval[1])),
+        confidence=mass * 0.95,
+        mirror_mm=mirror,
+        mirror_probability=mirror_probability,
+        status=status,
+        depths_mm=model.depths_mm,
+        score=coarse / coarse.sum(),
+        second_mm=second,
+        pixels=pixels,
+        reason=reason,
+        diagnostics=diagnostics,
+    )
+
+
+def _split(density: FloatArray, step: float, gap_px: float = 1.0) -> list[tuple[int, int]]:
+    """Cut the density at its deep valleys into modes [first, last)."""
+    floor = max(1e-3 * float(density.max()), 2.0 * float(np.median(density)))
+    above = np.flatnonzero(density > min(floor, 0.5 * float(density.max())))
+    breaks = np.flatnonzero(np.diff(above) > gap_px / step)
+    starts, ends = np.concatenate([[0], breaks + 1]), np.concatenate([breaks, [above.size - 1]])
+    return [(int(above[s]), int(above[e]) + 1) for s, e in zip(starts, ends, strict=True)]
+
+
+def _hull(density: FloatArray, mass: float) -> tuple[int, int]:
+    """First and last index of the highest-density set of this mass."""
+    order = np.argsort(-density)
+    count = int(np.searchsorted(np.cumsum(density[order]), mass * density.sum())) + 1
+    chosen = order[:count]
+    return int(chosen.min()), int(chosen.max())
