@@ -25,7 +25,15 @@ from workbench.depth.evidence_side import sparseness
 from workbench.depth.evidence_spectrum import SpectralFit, TextureFactor, fit_spectra, smeared_power
 from workbench.depth.evidence_windows import Window, place_windows, pooled_periodogram
 
-__all__ = ["EvidenceOptions", "estimate_evidence", "measure_region", "observe", "side_features"]
+__all__ = [
+    "DepthModel",
+    "EvidenceOptions",
+    "estimate_evidence",
+    "measure_region",
+    "observe",
+    "prepare",
+    "side_features",
+]
 
 FloatArray = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -147,7 +155,7 @@ def _conclude(
     likelihood = seen.fit.log_likelihood
     modes = find_modes(likelihood, model.row_radius_px)
     sparse = np.stack([side_features(plane, seen, row, model, options) for row in modes])
-    far, near = mode_scores(sparse, model.mirrored[modes], seen.pixels, learned)
+    far, near = mode_scores(sparse, np.asarray(model.sides_in_reach[modes].all(axis=1)), seen.pixels, learned)
     sigma, log_post = signed_posterior(learned.temperature * likelihood, modes, far, near, model)
     diagnostics = {
         "radius_px": model.row_radius_px,

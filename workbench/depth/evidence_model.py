@@ -134,11 +134,10 @@ class DepthModel:
     sigma_se_px: FloatArray
 
     @property
-    def mirrored(self) -> Mask:
-        """bool (R,): rows whose radius occurs on both sides of focus within the grid."""
-        if self.row_radius_px.size == self.sigma_px.size:  # sides are not mirror images: a row each
-            return np.asarray(np.abs(self.row_radius_px) <= min(-self.sigma_px[0], self.sigma_px[-1]))
-        return np.asarray(np.bincount(self.row_of, minlength=self.row_radius_px.size) > 1)
+    def sides_in_reach(self) -> Mask:
+        """bool (R, 2): whether the grid holds each row's |radius| on the far side, and on the near side."""
+        radius = np.abs(self.row_radius_px)
+        return np.stack([radius <= self.sigma_px[-1], radius <= -self.sigma_px[0]], axis=1)
 
     def depth_mm(self, sigma_px: float) -> float:
         """Depth of a signed radius."""
