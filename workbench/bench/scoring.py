@@ -7,8 +7,11 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from calibration.optics import mirror_depth
+
+FloatArray = NDArray[np.float64]
 
 GROSS_MM = 400.0
 NEAR_MM = 100.0
@@ -30,6 +33,12 @@ class Outcome:
     confidence: float
     status: str
     seconds: float
+    on_grid: bool = True
+    """Whether the truth is a depth of the 10 cm grid."""
+    pixels: int = 0
+    """Pixels of the region as it was given."""
+    bound_mm: float = float("nan")
+    """Least standard error that any estimator could reach that knows the texture's spectrum (Cramer-Rao)."""
 
     @property
     def answered(self) -> bool:
@@ -47,6 +56,10 @@ class Figures:
         Regions, and fraction of them with a depth.
     exact
         Rounded to the bank's 10 cm grid, the depth is the true one (off-grid truths: within 5 cm).
+    unmarked
+        Fraction of all regions with a depth that is not marked ambiguous.
+    neighbour
+        Rounded to the grid, the depth is the true one or next to it (within 15 cm).
     within_10cm
         Absolute error of at most 10 cm.
     gross, unmarked_gross
@@ -55,6 +68,10 @@ class Figures:
         On the wrong side of focus, and nearer to the mirror depth than to the truth.
     rms_dioptres, rms_cm, median_cm
         Errors in 1/m and cm (gross errors included).
+    fine_rms_cm
+        RMS error of the answers that are neither gross nor on the wrong side.
+    bound_cm
+        RMS of the Cramer-Rao bounds of the same answers; NaN where the textures' spectra aren't known.
     coverage
         Fraction whose 95 % interval holds the truth; NaN without intervals.
     seconds
@@ -63,7 +80,9 @@ class Figures:
 
     count: int
     answered: float
+    unmarked: float
     exact: float
+    neighbour: float
     within_10cm: float
     gross: float
     unmarked_gross: float
@@ -71,6 +90,8 @@ class Figures:
     rms_dioptres: float
     rms_cm: float
     median_cm: float
+    fine_rms_cm: float
+    bound_cm: float
     coverage: float
     seconds: float
 
@@ -92,28 +113,31 @@ def summarise(outcomes: Sequence[Outcome], focus_mm: float) -> Figures:
     """Figures of a set of outcomes; NaN where nothing was answered."""
     answered = [o for o in outcomes if o.answered]
     count = len(outcomes)
-    if not answered:
-        nan = float("nan")
-        return Figures(count, 0.0, nan, nan, 0.0, 0.0, nan, nan, nan, nan, nan, _median(o.seconds for o in outcomes))
     errors = np.array([o.depth_mm - o.true_mm for o in answered])
     dioptres = np.array([1000 / o.depth_mm - 1000 / o.true_mm for o in answered])
+    marked = np.array([o.status == "ambiguous" for o in answered], np.bool_)
+    flipped = np.array([is_flipped(o.true_mm, o.depth_mm, focus_mm) for o in answered], np.bool_)
+    bounds = np.array([o.bound_mm for o in answered])
     gross = np.abs(errors) > GROSS_MM
-    marked = np.array([o.status == "ambiguous" for o in answered])
+    fine = ~gross & ~flipped
     with_interval = [o for o in answered if all(math.isfinite(bound) for bound in o.interval_mm)]
-    covered = [o.interval_mm[0] <= o.true_mm <= o.interval_mm[1] for o in with_interval]
     return Figures(
         count=count,
-        answered=len(answered) / count,
-        exact=float(np.mean([is_exact(o.true_mm, o.depth_mm) for o in answered])),
-        within_10cm=float(np.mean(np.abs(errors) <= NEAR_MM)),
-        gross=float(gross.sum() / count),
-        unmarked_gross=float((gross & ~marked).sum() / count),
-        side_flips=float(np.mean([is_flipped(o.true_mm, o.depth_mm, focus_mm) for o in answered])),
-        rms_dioptres=float(np.sqrt(np.mean(dioptres**2))),
-        rms_cm=float(np.sqrt(np.mean(errors**2)) / 10),
-        median_cm=float(np.median(np.abs(errors)) / 10),
-        coverage=float(np.mean(covered)) if covered else float("nan"),
-        seconds=_median(o.seconds for o in outcomes),
+        answered=len(answered) / max(count, 1),
+        unmarked=float((~marked).sum()) / max(count, 1),
+        exact=_mean([is_exact(o.true_mm, o.depth_mm) for o in answered]),
+        neighbour=_mean(np.abs(errors) <= 1.5 * GRID_MM),
+        within_10cm=_mean(np.abs(errors) <= NEAR_MM),
+        gross=float(gross.sum()) / max(count, 1),
+        unmarked_gross=float((gross & ~marked).sum()) / max(count, 1),
+        side_flips=_mean(flipped),
+        rms_dioptres=_rms(dioptres),
+        rms_cm=_rms(errors) / 10,
+        median_cm=_median(np.abs(errors)) / 10,
+        fine_rms_cm=_rms(errors[fine]) / 10,
+        bound_cm=_rms(bounds[fine & np.isfinite(bounds)]) / 10,
+        coverage=_mean([o.interval_mm[0] <= o.true_mm <= o.interval_mm[1] for o in with_interval]),
+        seconds=_median([o.seconds for o in outcomes]),
     )
 
 
@@ -127,6 +151,13 @@ def grouped(
     return {name: summarise(group, focus_mm) for name, group in groups.items()}
 
 
-def _median(values: Iterable[float]) -> float:
-    listed = list(values)
-    return float(np.median(listed)) if listed else float("nan")
+def _median(values: Sequence[float] | FloatArray) -> float:
+    return float(np.median(values)) if len(values) else float("nan")
+
+
+def _mean(values: Sequence[bool] | NDArray[np.bool_]) -> float:
+    return float(np.mean(values)) if len(values) else float("nan")
+
+
+def _rms(values: FloatArray) -> float:
+    return float(np.sqrt(np.mean(values**2))) if len(values) else float("nan")

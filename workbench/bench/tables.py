@@ -1,0 +1,185 @@
+"""From outcomes to the tables of an accuracy run: rows for the terminal, Markdown, JSON."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from workbench.bench.cases import BLANK
+from workbench.bench.scoring import Figures, Outcome, grouped
+
+BANDS_MM = ((0.0, 1000.0), (1000.0, 1400.0), (1400.0, 1800.0), (1800.0, 2500.0), (2500.0, math.inf))
+"""Depth bands; the third is within 20 cm of the focal plane."""
+
+Cell = str | int
+
+
+@dataclass(frozen=True, slots=True)
+class TableOf:
+    """One table: a title, names of columns, and rows of texts."""
+
+    title: str
+    columns: tuple[str, ...]
+    rows: tuple[tuple[Cell, ...], ...]
+
+    def markdown(self) -> str:
+        """As GitHub writes tables; all columns but the first right aligned."""
+        lines = [f"### {self.title}", "", _line(self.columns), _line(["---"] + ["---:"] * (len(self.columns) - 1))]
+        return "\n".join([*lines, *(_line(row) for row in self.rows), ""])
+
+
+def _line(cells: Iterable[Cell]) -> str:
+    return "| " + " | ".join(str(cell) for cell in cells) + " |"
+
+
+def band_name(depth_mm: float) -> str:
+    """Depth band of a truth, as text."""
+    low, high = next(band for band in BANDS_MM if band[0] <= depth_mm < band[1])
+    if math.isinf(high):
+        return f"beyond {low / 10:.0f} cm"
+    return f"{low / 10:.0f} to {high / 10:.0f} cm" if low else f"nearer than {high / 10:.0f} cm"
+
+
+Key = Callable[[Outcome], tuple[str, ...]]
+GROUPINGS: Mapping[str, tuple[tuple[str, ...], Key]] = {
+    "size and light": (("size", "light"), lambda o: (o.method, o.size, o.light)),
+    "texture": (("texture",), lambda o: (o.method, o.texture)),
+    "depth": (("depth",), lambda o: (o.method, band_name(o.true_mm))),
+}
+_FIGURE_COLUMNS = (
+    "method", "", "n", "answered %", "unmarked %", "exact %", "±15 cm %", "±10 cm %", "gross %", "unm. gross %",
+    "flips %", "RMS cm", "RMS 1/m", "fine cm", "bound cm", "in 95 %", "time",
+)  # fmt: skip
+
+
+def accuracy_tables(outcomes: Sequence[Outcome], focus_mm: float) -> list[TableOf]:
+    """All tables of a run.
+
+    Parameters
+    ----------
+    outcomes
+        Raw results.
+    focus_mm
+        Focus distance, which tells the sides apart.
+
+    Returns
+    -------
+    list of TableOf
+        By size and light; by texture and by depth band (all sizes in normal light, or the lights there are); where the
+        methods measured different cases, their comparison on those that all did; abstentions on the blank wall.
+    """
+    textured = [o for o in outcomes if o.texture != BLANK]
+    lights = {o.light for o in textured}
+    normal = [o for o in textured if o.light == "normal"] if "normal" in lights else textured
+    tables = []
+    for name, (parts, key) in GROUPINGS.items():
+        chosen = textured if name == "size and light" else normal
+        title = f"By {name}" + ("" if chosen is textured and len(lights) > 1 else f" ({' and '.join(_lights(chosen))})")
+        tables.append(figures_table(title, " ".join(parts), _ordered(grouped(chosen, key, focus_mm), name)))
+    tables += _comparison(textured, focus_mm)
+    blank = [o for o in outcomes if o.texture == BLANK]
+    if blank:
+        tables.append(_blank_table(blank))
+    return tables
+
+
+def _lights(outcomes: Sequence[Outcome]) -> list[str]:
+    return [f"{light} light" if light else "all" for light in dict.fromkeys(o.light for o in outcomes)]
+
+
+def _ordered(groups: Mapping[tuple[str, ...], Figures], name: str) -> dict[tuple[str, ...], Figures]:
+    if name != "depth":
+        return dict(groups)
+    bands = [band_name(low) for low, _ in BANDS_MM]
+    methods = list(dict.fromkeys(key[0] for key in groups))
+    return dict(sorted(groups.items(), key=lambda item: (methods.index(item[0][0]), bands.index(item[0][1]))))
+
+
+def figures_table(title: str, group: str, groups: Mapping[tuple[str, ...], Figures]) -> TableOf:
+    """One row per group; the group's first part is the method."""
+    columns = (_FIGURE_COLUMNS[0], group, *_FIGURE_COLUMNS[2:])
+    return TableOf(title, columns, tuple((key[0], ", ".join(key[1:]), *_cells(f)) for key, f in groups.items()))
+
+
+def _cells(f: Figures) -> tuple[str, ...]:
+    return (
+        str(f.count), percent(f.answered), percent(f.unmarked), percent(f.exact), percent(f.neighbour),
+        percent(f.within_10cm), percent(f.gross), percent(f.unmarked_gross), percent(f.side_flips), _number(f.rms_cm),
+        _number(f.rms_dioptres, 3), _number(f.fine_rms_cm), _number(f.bound_cm), percent(f.coverage),
+        _seconds(f.seconds),
+    )  # fmt: skip
+
+
+def percent(fraction: float) -> str:
+    """``0.123`` -> ``12.3``; a dash for NaN."""
+    return f"{100 * fraction:.1f}" if math.isfinite(fraction) else "-"
+
+
+def _number(value: float, digits: int = 1) -> str:
+    """Enough digits to see small numbers; a dash for NaN."""
+    if not math.isfinite(value):
+        return "-"
+    return f"{value:.{digits}f}" if abs(value) >= 1 else f"{value:.{max(digits, 2)}f}"
+
+
+def _seconds(value: float) -> str:
+    if not math.isfinite(value):
+        return "-"
+    return f"{value:.2f} s" if value >= 1 else f"{1000 * value:.0f} ms"
+
+
+def _comparison(outcomes: Sequence[Outcome], focus_mm: float) -> list[TableOf]:
+    """Methods on the cases that all of them measured, where that isn't what the other tables show."""
+    by_method: dict[str, set[tuple[object, ...]]] = {}
+    for o in outcomes:
+        by_method.setdefault(o.method, set()).add(_case_of(o))
+    common = set.intersection(*by_method.values()) if by_method else set()
+    if len(by_method) < 2 or all(cases == common for cases in by_method.values()) or not common:
+        return []
+    chosen = [o for o in outcomes if _case_of(o) in common]
+    groups = grouped(chosen, lambda o: (o.method, o.size), focus_mm)
+    return [figures_table("Side by side: the regions that every method measured", "size", groups)]
+
+
+def _case_of(o: Outcome) -> tuple[object, ...]:
+    return o.texture, o.size, o.light, o.true_mm
+
+
+def _blank_table(blank: Sequence[Outcome]) -> TableOf:
+    groups: dict[tuple[str, str], list[Outcome]] = {}
+    for o in blank:
+        groups.setdefault((o.method, o.size), []).append(o)
+    rows = tuple(
+        (method, size, len(group), percent(sum(not o.answered for o in group) / len(group)))
+        for (method, size), group in groups.items()
+    )
+    return TableOf("A blank wall", ("method", "size", "n", "refused %"), rows)
+
+
+def markdown_page(title: str, facts: Mapping[str, object], tables: Sequence[TableOf], figures: Sequence[str]) -> str:
+    """Whole page: facts of the run, what the columns mean, figures, tables."""
+    lines = [f"# {title}", "", *(f"- {name}: {value}" for name, value in facts.items()), "", COLUMN_NOTES, ""]
+    lines += [line for name in figures for line in (f"![{name}]({name})", "")]
+    return "\n".join(lines) + "\n" + "\n".join(table.markdown() for table in tables)
+
+
+COLUMN_NOTES = """n: regions. Answered: a depth was given; unmarked: given, and not called ambiguous. Both, and the
+gross ones, are percentages of all regions; the others of the answered ones. Exact: within 5 cm, so that rounding to the
+10 cm grid gives the truth. Gross: off by more than 40 cm; unm. gross: and not called ambiguous. Flips: on the wrong side
+of focus and nearer to the mirror depth. Fine: RMS error of answers neither gross nor flipped; beside it the Cramer-Rao
+bound of the same regions, for a Gaussian texture of known spectrum. In 95 %: the interval holds the truth. Time: median
+per region, of one core, all regions of a frame measured together."""
+
+
+def tables_json(outcomes: Sequence[Outcome], focus_mm: float) -> dict[str, list[dict[str, Any]]]:
+    """Figures of every table, by name of the grouping, as plain numbers."""
+    textured = [o for o in outcomes if o.texture != BLANK]
+    result: dict[str, list[dict[str, Any]]] = {}
+    for name, (parts, key) in GROUPINGS.items():
+        result[name] = [
+            {"method": group[0], **dict(zip(parts, group[1:], strict=True)), **asdict(figures)}
+            for group, figures in grouped(textured, key, focus_mm).items()
+        ]
+    return result
