@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import cv2
 import numpy as np
@@ -16,6 +16,7 @@ from calibration.bank import Bank, check_fits
 from calibration.image import LinearImage
 from calibration.raw import develop
 from workbench.depth.allfocus import all_focus, depth_map
+from workbench.depth.depth_regions import regions_of_one_depth
 from workbench.depth.methods import DEFAULT_METHOD, estimate_depths, option_values
 from workbench.depth.regions import SrmOptions, from_roi, srm, whole
 from workbench.display import to_srgb8
@@ -37,6 +38,8 @@ class MeasureOptions:
     """x, y, width, height in pixels of the developed image."""
     labels: Path | None = None
     whole: bool = False
+    segment: Literal["depth", "colour"] = "depth"
+    """How regions are found: by colour and blur, or by colour alone (as published)."""
     srm_q: float = 32.0
 
 
@@ -63,8 +66,13 @@ def read_labels(path: Path, shape: tuple[int, int]) -> NDArray[np.int32]:
     return labels.astype(np.int32)
 
 
-def find_regions(image: LinearImage, options: MeasureOptions) -> NDArray[np.int32]:
-    """Label image (H, W) by whatever the operator chose; region merging by default.
+SUPERPIXEL_Q = 32.0
+"""For regions of one depth, colour regions are made finer by this factor of Q: they only give the outlines."""
+SUPERPIXEL_FRACTION = 3e-4
+
+
+def find_regions(image: LinearImage, bank: Bank, options: MeasureOptions) -> NDArray[np.int32]:
+    """Label image (H, W) by whatever the operator chose; merging by colour and blur by default.
 
     Raises
     ------
@@ -88,7 +96,10 @@ def find_regions(image: LinearImage, options: MeasureOptions) -> NDArray[np.int3
         return read_labels(options.labels, image.shape)
     if options.whole:
         return whole(image.shape)
-    return srm(image, SrmOptions(q=options.srm_q))
+    if options.segment == "colour":
+        return srm(image, SrmOptions(q=options.srm_q))
+    fine = srm(image, SrmOptions(q=options.srm_q * SUPERPIXEL_Q, min_fraction=SUPERPIXEL_FRACTION))
+    return regions_of_one_depth(image, bank, fine)
 
 
 def measure(path: Path, bank: Bank, bank_ref: str, options: MeasureOptions) -> Measurement:
@@ -104,7 +115,7 @@ def measure(path: Path, bank: Bank, bank_ref: str, options: MeasureOptions) -> M
     started = time.perf_counter()
     image = develop(path, recipe="native" if bank.recipe == "native" else "superpixel")
     check_fits(bank, image)
-    labels = find_regions(image, options)
+    labels = find_regions(image, bank, options)
     estimates = estimate_depths(image, bank, labels, options.method, dict(options.method_options))
     return Measurement(
         image=image,

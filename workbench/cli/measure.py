@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import click
 
@@ -54,6 +54,8 @@ def measure_options(function: click.decorators.FC) -> click.decorators.FC:
                          help="Measure this rectangle of the developed image."),
             click.option("--labels", type=click.Path(path_type=Path), help="Label image: regions to measure."),
             click.option("--whole", is_flag=True, help="Take the whole frame as one region."),
+            click.option("--segment", type=click.Choice(["depth", "colour"]), default="depth", show_default=True,
+                         help="Find regions by colour and blur, or by colour alone."),
             click.option("--q", "srm_q", type=click.FloatRange(min=0.1), default=32.0, show_default=True,
                          help="Region merging: larger finds more regions."),
             click.option("--out", type=click.Path(path_type=Path, file_okay=False), help="Directory for the files."),
@@ -98,13 +100,14 @@ def capture(context: Context, out: Path | None, **chosen: Any) -> None:
 
 def _prepare(
     context: Context, *, bank_ref: str, method: str, settings: tuple[tuple[str, str], ...],
-    roi: tuple[int, int, int, int] | None, labels: Path | None, whole: bool, srm_q: float,
+    roi: tuple[int, int, int, int] | None, labels: Path | None, whole: bool, segment: Literal["depth", "colour"],
+    srm_q: float,
 ) -> tuple[Project, Bank, str, MeasureOptions]:  # fmt: skip
     """Check everything that can be checked before a file is read or a camera is opened."""
     project = context.project()
     make_options(method, dict(settings))
     labels = context.existing(labels, "label image") if labels else None
-    options = MeasureOptions(method, settings, roi, labels, whole, srm_q)
+    options = MeasureOptions(method, settings, roi, labels, whole, segment, srm_q)
     bank, _ = open_bank(project, bank_ref)
     return project, bank, bank_ref, options
 

@@ -1,0 +1,193 @@
+"""Regions of one depth each: what merging by colour found, split and joined by what the blur says.
+
+Two grey objects that touch are one region to any segmentation by colour, and a page of text is many. Their blur tells:
+the likelihood of every blur radius is computed in windows on a coarse grid over the whole frame; neighbouring cells are
+merged, the most compatible first, as long as one common radius explains both nearly as well as one radius each. The
+outlines come from the colour regions: one that lies within one piece goes to it as a whole, one that spans several is
+cut along the grid. Radii are compared without their side of focus, which single windows can't tell.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from calibration.bank import Bank
+from calibration.image import LinearImage
+from workbench.depth.evidence import EvidenceOptions
+from workbench.depth.evidence_model import DepthModel, prepare
+from workbench.depth.evidence_spectrum import fit_spectra, smeared_power
+from workbench.depth.evidence_windows import Window, hann, pooled_periodogram
+
+FloatArray = NDArray[np.float64]
+Labels = NDArray[np.int32]
+
+
+@dataclass(frozen=True, slots=True)
+class DepthRegionOptions:
+    """How regions are split and joined.
+
+    Attributes
+    ----------
+    window_px
+        Side of the windows; only the lower half of their frequencies is used, which is a quarter of the work.
+    least_cell_px, most_cells
+        Spacing of the grid: at least so many pixels, and at most so many cells along the longer side.
+    radius_step_px
+        Step between the radii that are compared.
+    tolerance
+        Log-likelihood that two pieces may lose by a common radius and still be merged.
+    least_cells
+        A piece of fewer cells is given to the neighbour that suits it best.
+    whole_share
+        A colour region with this share of its pixels in one piece belongs to it as a whole.
+    least_fraction
+        Connected parts smaller than this part of the frame go to their neighbour.
+    """
+
+    window_px: int = 128
+    least_cell_px: int = 48
+    most_cells: int = 20
+    radius_step_px: float = 1.0
+    tolerance: float = 8.0
+    least_cells: int = 3
+    whole_share: float = 0.5
+    least_fraction: float = 0.005
+
+
+def regions_of_one_depth(
+    image: LinearImage, bank: Bank, labels: Labels, options: DepthRegionOptions | None = None
+) -> Labels:
+    """Split and join colour regions so that each holds one depth.
+
+    Parameters
+    ----------
+    image
+        Developed like the bank.
+    bank
+        PSFs and lens fit.
+    labels
+        int32 (H, W): many small colour regions (superpixels), numbered from 1, every pixel in one.
+    options
+        See :class:`DepthRegionOptions`.
+
+    Returns
+    -------
+    int32 (H, W)
+        Labels 1 to n by decreasing size.
+    """
+    options = options or DepthRegionOptions()
+    height, width = image.shape
+    if min(height, width) < options.window_px:
+        return labels
+    cell = max(options.least_cell_px, int(np.ceil(max(height, width) / options.most_cells)))
+    shape = -(-height // cell), -(-width // cell)
+    likelihood = _cell_likelihoods(image, bank, cell, shape, options)
+    pieces = _merge(likelihood, shape, options).reshape(shape)
+    by_pixel = pieces.repeat(cell, axis=0)[:height].repeat(cell, axis=1)[:, :width]
+    return _by_size(_with_outlines(by_pixel, labels, options.whole_share), options.least_fraction)
+
+
+def _cell_likelihoods(
+    image: LinearImage, bank: Bank, cell: int, shape: tuple[int, int], options: DepthRegionOptions
+) -> FloatArray:
+    """Log-likelihood of each radius in a window about each cell's centre, float64 (cells, R)."""
+    model: DepthModel = prepare(bank, EvidenceOptions(radius_step_px=options.radius_step_px))
+    plane, size = image.luminance, options.window_px
+    taper = np.outer(hann(size), hann(size)).astype(np.float32)
+    rows = _corners(shape[0], cell, size, image.shape[0])
+    columns = _corners(shape[1], cell, size, image.shape[1])
+    lags = model.kernel_lags.shape[1] // 2
+    expected: NDArray[np.float32] | None = None
+    result = []
+    for y in rows:
+        for x in columns:
+            pooled = pooled_periodogram(plane, [Window(y, x, taper, 1.0)], lags)
+            if expected is None:
+                expected = _low_half(smeared_power(model.kernel_lags, pooled.taper_lags, size))
+            power = _low_half(pooled.power[np.newaxis])[0]
+            result.append(fit_spectra(power, 1.0, expected).log_likelihood)
+    return np.stack(result)
+
+
+def _corners(cells: int, cell: int, size: int, length: int) -> list[int]:
+    centres = (np.minimum(np.arange(1, cells + 1) * cell, length) + np.arange(cells) * cell) / 2
+    return [int(np.clip(round(c - size / 2), 0, length - size)) for c in centres]
+
+
+def _low_half(power: NDArray[np.floating]) -> NDArray[np.floating]:
+    """Frequencies up to a quarter cycle per pixel of (D, N, N // 2 + 1): what the image at half its size would show."""
+    n = power.shape[1]
+    rows = np.r_[0 : n // 4, n - n // 4 : n]
+    return np.ascontiguousarray(power[:, rows, : n // 4 + 1])
+
+
+def _merge(likelihood: FloatArray, shape: tuple[int, int], options: DepthRegionOptions) -> NDArray[np.int32]:
+    """Agglomerate neighbouring cells; returns the piece of each cell, numbered from 1."""
+    total = likelihood.shape[0]
+    number = np.arange(total).reshape(shape)
+    adjacent: dict[int, set[int]] = {index: set() for index in range(total)}
+    for a, b in ((number[1:], number[:-1]), (number[:, 1:], number[:, :-1])):
+        for i, j in zip(a.ravel().tolist(), b.ravel().tolist(), strict=True):
+            adjacent[i].add(j)
+            adjacent[j].add(i)
+    parent = np.arange(total)
+    evidence, best = likelihood.copy(), likelihood.max(axis=1)
+    size = np.ones(total, int)
+
+    def loss(first: int, second: int) -> float:
+        return float(best[first] + best[second] - (evidence[first] + evidence[second]).max())
+
+    losses = {(i, j): loss(i, j) for i in adjacent for j in adjacent[i] if i < j}
+    while losses:
+        (keep, gone), smallest = min(losses.items(), key=lambda entry: entry[1])
+        if smallest > options.tolerance:
+            # what is too small to stand alone goes to the neighbour that suits it best
+            small = {p: v for p, v in losses.items() if min(size[p[0]], size[p[1]]) < options.least_cells}
+            if not small:
+                break
+            keep, gone = min(small, key=small.__getitem__)
+        evidence[keep] += evidence[gone]
+        best[keep] = evidence[keep].max()
+        size[keep] += size[gone]
+        parent[parent == gone] = keep
+        adjacent[keep] = (adjacent[keep] | adjacent.pop(gone)) - {keep, gone}
+        losses = {pair: value for pair, value in losses.items() if keep not in pair and gone not in pair}
+        for other in adjacent[keep]:
+            adjacent[other] = (adjacent[other] - {gone}) | {keep}
+            losses[min(keep, other), max(keep, other)] = loss(keep, other)
+    return np.asarray(np.unique(parent, return_inverse=True)[1] + 1, np.int32)
+
+
+def _with_outlines(pieces: Labels, labels: Labels, whole_share: float) -> Labels:
+    """Give each colour region that lies mostly within one piece to it as a whole."""
+    count = int(pieces.max()) + 1
+    joint = np.bincount(labels.ravel().astype(np.int64) * count + pieces.ravel(), minlength=(labels.max() + 1) * count)
+    shares = joint.reshape(-1, count)
+    owner = shares.argmax(axis=1)
+    whole = shares.max(axis=1) >= whole_share * np.maximum(shares.sum(axis=1), 1)
+    return np.where(whole[labels], owner[labels], pieces).astype(np.int32)
+
+
+def _by_size(pieces: Labels, least_fraction: float) -> Labels:
+    """Connected parts, numbered from 1 by decreasing size; crumbs go to the nearest part that is none."""
+    result = np.zeros_like(pieces)
+    count = 0
+    for piece in np.unique(pieces):
+        parts, found = ndimage.label(pieces == piece)
+        result[parts > 0] = parts[parts > 0] + count
+        count += found
+    sizes = np.bincount(result.ravel())
+    crumb = sizes[result] < least_fraction * pieces.size
+    if not crumb.all():
+        nearest = ndimage.distance_transform_edt(crumb, return_distances=False, return_indices=True)
+        result = result[tuple(nearest)]
+    sizes = np.bincount(result.ravel())
+    order = np.argsort(-sizes, kind="stable")
+    order = order[sizes[order] > 0]
+    rank = np.zeros(len(sizes), np.int32)
+    rank[order] = np.arange(1, len(order) + 1, dtype=np.int32)
+    return np.ascontiguousarray(rank[result])
