@@ -1,0 +1,172 @@
+"""What every region must pass before it is measured: an inner part, texture above the noise, light that isn't clipped.
+
+The tests are those of :mod:`workbench.depth.sharpness`, so that all methods refuse the same regions for the same
+reasons.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calibration.bank import Bank
+from calibration.image import LinearImage
+from workbench.depth.estimate import DepthEstimate, Status
+from workbench.depth.regions import edge_distance
+from workbench.depth.sharpness import _bounding_box, _contrast, _noise_level
+
+FloatImage = NDArray[np.float32]
+Mask = NDArray[np.bool_]
+Box = tuple[slice, slice]
+
+
+@dataclass(frozen=True, slots=True)
+class ScreeningOptions:
+    """When a region is refused. None of these comes from a paper; they are the same for every method.
+
+    Attributes
+    ----------
+    margin_px
+        Strip along a region's edge that doesn't count; None for the bank's largest blur radius.
+    keep_fraction
+        The strip is made narrower where less than this part of the region would remain.
+    min_pixels
+        Fewer inner pixels than this carry no depth.
+    min_contrast
+        Least standard deviation of a region's 4 x 4 block means, in units of what noise alone gives.
+    max_saturated
+        Larger fractions of saturated inner pixels are reported.
+    """
+
+    margin_px: float | None = None
+    keep_fraction: float = 0.25
+    min_pixels: int = 400
+    min_contrast: float = 2.0
+    max_saturated: float = 0.1
+
+    def __post_init__(self) -> None:
+        require(
+            self,
+            margin_px=self.margin_px is None or self.margin_px >= 0,
+            keep_fraction=0 < self.keep_fraction <= 1,
+            min_pixels=self.min_pixels >= 1,
+            min_contrast=self.min_contrast >= 0,
+            max_saturated=0 <= self.max_saturated <= 1,
+        )
+
+
+def require(options: object, **good: bool) -> None:
+    """Refuse options out of range.
+
+    Raises
+    ------
+    ValueError
+        Names the first option that isn't good, and its value.
+    """
+    for name, right in good.items():
+        if not right:
+            raise ValueError(f"{name} = {getattr(options, name)}: out of range")
+
+
+@dataclass(frozen=True, slots=True)
+class Region:
+    """A region that can be measured.
+
+    Attributes
+    ----------
+    label
+        Its number.
+    box
+        Rows and columns that hold it.
+    inside
+        bool, the box's shape: pixels of its inner part.
+    saturated
+        Fraction of them that are clipped.
+    """
+
+    label: int
+    box: Box
+    inside: Mask
+    saturated: float
+
+    @property
+    def pixels(self) -> int:
+        """Pixels of the inner part."""
+        return int(self.inside.sum())
+
+
+@dataclass(frozen=True, slots=True)
+class Screened:
+    """A frame's regions.
+
+    Attributes
+    ----------
+    regions
+        Those that can be measured.
+    refused
+        Estimates of the others, by label.
+    noise
+        Standard deviation of the luminance's noise.
+    """
+
+    regions: list[Region]
+    refused: dict[int, DepthEstimate]
+    noise: float
+
+
+def screen(image: LinearImage, bank: Bank, labels: NDArray[np.int32], options: ScreeningOptions) -> Screened:
+    """Cut regions to their inner parts, and refuse those that can't say anything.
+
+    Raises
+    ------
+    ValueError
+        Labels of another size than the image.
+    """
+    if labels.shape != image.shape:
+        raise ValueError(f"labels are {labels.shape}, the image is {image.shape}")
+    luminance = image.luminance
+    noise = noise_level(luminance)
+    margin = float(np.abs(bank.lens.radius_px).max()) if options.margin_px is None else options.margin_px
+    found = Screened([], {}, noise)
+    for label in (int(value) for value in np.unique(labels) if value > 0):
+        mask = labels == label
+        box = _bounding_box(mask)
+        distance = edge_distance(mask[box], frame_is_edge=True)
+        limit = float(np.quantile(distance[mask[box]], 1.0 - options.keep_fraction))
+        # Distances of edge pixels are 1: a region that can't afford any margin keeps all of its pixels.
+        inside = mask[box] & (distance > min(margin, limit - 0.5))
+        region = Region(label, box, inside, float(image.saturated[box][inside].mean()))
+        if region.pixels < options.min_pixels:
+            reason = f"only {region.pixels} inner pixels, {options.min_pixels} are needed"
+        elif _contrast(luminance[box], inside) < options.min_contrast * noise / 4:
+            reason = "no texture above the noise"
+        else:
+            found.regions.append(region)
+            continue
+        found.refused[label] = no_depth(bank, region.pixels, reason)
+    return found
+
+
+def no_depth(bank: Bank, pixels: int, reason: str, status: Status = "no-texture") -> DepthEstimate:
+    """The estimate of a region that says nothing."""
+    nan = float("nan")
+    return DepthEstimate(
+        depth_mm=nan, interval_mm=(nan, nan), confidence=0.0, mirror_mm=nan, mirror_probability=nan, status=status,
+        depths_mm=bank.depths_mm, score=np.zeros(len(bank.depths_mm)), second_mm=nan, pixels=pixels, reason=reason,
+    )  # fmt: skip
+
+
+def noise_level(luminance: FloatImage) -> float:
+    """Standard deviation of pixel noise, from the quietest tiles (see :mod:`workbench.depth.sharpness`)."""
+    return _noise_level(luminance)
+
+
+def expanded(box: Box, reach: int, shape: tuple[int, int]) -> tuple[Box, Box]:
+    """A box grown by ``reach`` within the frame, and where the old box lies in the new one."""
+    grown = [
+        slice(max(0, part.start - reach), min(side, part.stop + reach)) for part, side in zip(box, shape, strict=True)
+    ]
+    place = [slice(part.start - new.start, part.stop - new.start) for part, new in zip(box, grown, strict=True)]
+    return (grown[0], grown[1]), (place[0], place[1])
