@@ -37,7 +37,7 @@ def compare(measurement: Measurement, truth: SceneTruth) -> list[ObjectResult]:
     """
     results = []
     for number, name in enumerate(truth.names, start=1):
-        core = _core(truth.object_id == number)
+        core = object_core(truth.object_id == number)
         if not core.any():
             continue
         depths = measurement.depth_map_mm[core]
@@ -51,7 +51,8 @@ def compare(measurement: Measurement, truth: SceneTruth) -> list[ObjectResult]:
     return sorted(results, key=lambda result: result.true_mm)
 
 
-def _core(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def object_core(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Inner part of an object, bool (H, W): the half of its pixels that lie farthest from its outline."""
     if not mask.any():
         return mask
     distance = cv2.distanceTransform(np.pad(mask, 1).astype(np.uint8), cv2.DIST_L2, 5)[1:-1, 1:-1]

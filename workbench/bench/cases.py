@@ -88,16 +88,17 @@ def make_cases(
     seed
         Of the choice, and of the cases' own seeds.
     """
-    rounds: list[list[Case]] = []
-    shares = np.array_split(np.arange(len(depths)), min(per_texture, len(depths)))
+    count = min(per_texture, len(depths))
     generator = np.random.default_rng([seed, 0xCA])
-    for share in (shares[i] for i in generator.permutation(len(shares))):
-        cases = []
-        for texture in textures:
+    shares = np.array_split(np.arange(len(depths)), count)
+    order = generator.permutation(count)
+    cases = []
+    for turn in range(count):
+        for place, texture in enumerate(textures):
+            share = shares[order[(turn + place) % count]]  # in each turn the textures stand at different depths
             true_mm, on_grid = depths[int(generator.choice(share))]
             cases.append(Case(texture, true_mm, on_grid, _case_seed(seed, texture, true_mm)))
-        rounds.append(cases)
-    return [case for cases in rounds for case in cases]
+    return cases
 
 
 def _case_seed(seed: int, texture: str, true_mm: float) -> int:

@@ -44,13 +44,13 @@ def band_name(depth_mm: float) -> str:
 
 Key = Callable[[Outcome], tuple[str, ...]]
 GROUPINGS: Mapping[str, tuple[tuple[str, ...], Key]] = {
-    "size and light": (("size", "light"), lambda o: (o.method, o.size, o.light)),
+    "size and light": (("size", "light"), lambda o: (o.method, o.size, *([o.light] if o.light else []))),
     "texture": (("texture",), lambda o: (o.method, o.texture)),
     "depth": (("depth",), lambda o: (o.method, band_name(o.true_mm))),
 }
 _FIGURE_COLUMNS = (
-    "method", "", "n", "answered %", "unmarked %", "exact %", "±15 cm %", "±10 cm %", "gross %", "unm. gross %",
-    "flips %", "RMS cm", "RMS 1/m", "fine cm", "bound cm", "in 95 %", "time",
+    "method", "", "n", "answered", "unmarked", "exact", "±15 cm", "±10 cm", "gross", "unm. gross", "flips",
+    "RMS cm", "RMS 1/m", "fine cm", "bound cm", "in 95 %", "time",
 )  # fmt: skip
 
 
@@ -76,7 +76,7 @@ def accuracy_tables(outcomes: Sequence[Outcome], focus_mm: float) -> list[TableO
     tables = []
     for name, (parts, key) in GROUPINGS.items():
         chosen = textured if name == "size and light" else normal
-        title = f"By {name}" + ("" if chosen is textured and len(lights) > 1 else f" ({' and '.join(_lights(chosen))})")
+        title = f"By {name}" + ("" if len({o.light for o in chosen}) > 1 else _light(chosen))
         tables.append(figures_table(title, " ".join(parts), _ordered(grouped(chosen, key, focus_mm), name)))
     tables += _comparison(textured, focus_mm)
     blank = [o for o in outcomes if o.texture == BLANK]
@@ -85,16 +85,17 @@ def accuracy_tables(outcomes: Sequence[Outcome], focus_mm: float) -> list[TableO
     return tables
 
 
-def _lights(outcomes: Sequence[Outcome]) -> list[str]:
-    return [f"{light} light" if light else "all" for light in dict.fromkeys(o.light for o in outcomes)]
+def _light(outcomes: Sequence[Outcome]) -> str:
+    return f" ({outcomes[0].light} light)" if outcomes and outcomes[0].light else ""
 
 
 def _ordered(groups: Mapping[tuple[str, ...], Figures], name: str) -> dict[tuple[str, ...], Figures]:
-    if name != "depth":
-        return dict(groups)
-    bands = [band_name(low) for low, _ in BANDS_MM]
+    """Methods side by side within each group; depth bands from near to far."""
     methods = list(dict.fromkeys(key[0] for key in groups))
-    return dict(sorted(groups.items(), key=lambda item: (methods.index(item[0][0]), bands.index(item[0][1]))))
+    parts = [(band_name(low),) for low, _ in BANDS_MM] if name == "depth" else list(
+        dict.fromkeys(key[1:] for key in groups)
+    )  # fmt: skip
+    return dict(sorted(groups.items(), key=lambda item: (parts.index(item[0][1:]), methods.index(item[0][0]))))
 
 
 def figures_table(title: str, group: str, groups: Mapping[tuple[str, ...], Figures]) -> TableOf:
@@ -130,6 +131,34 @@ def _seconds(value: float) -> str:
     return f"{value:.2f} s" if value >= 1 else f"{1000 * value:.0f} ms"
 
 
+def singles_table(singles: Sequence[tuple[str, Outcome]]) -> TableOf:
+    """One row for each named plane or object and way of measuring it, one column for each method.
+
+    A cell holds the depth in cm; a question mark where it is called ambiguous, a star where the 95 % interval misses
+    the truth; the status where there is no depth.
+    """
+    methods = tuple(dict.fromkeys(outcome.method for _, outcome in singles))
+    rows: dict[tuple[str, str], dict[str, Outcome]] = {}
+    for name, outcome in singles:
+        rows.setdefault((name, outcome.size), {})[outcome.method] = outcome
+    return TableOf(
+        "One by one, cm (? called ambiguous, * truth outside the 95 % interval)",
+        ("", "region", "true", *methods),
+        tuple(
+            (name, size, f"{next(iter(row.values())).true_mm / 10:.1f}",
+             *(_single_cell(row[m]) if m in row else "-" for m in methods))
+            for (name, size), row in rows.items()
+        ),
+    )  # fmt: skip
+
+
+def _single_cell(o: Outcome) -> str:
+    if not o.answered:
+        return o.status
+    low, high = o.interval_mm
+    return f"{o.depth_mm / 10:.1f}{'?' * (o.status == 'ambiguous')}{'*' * (not low <= o.true_mm <= high)}"
+
+
 def _comparison(outcomes: Sequence[Outcome], focus_mm: float) -> list[TableOf]:
     """Methods on the cases that all of them measured, where that isn't what the other tables show."""
     by_method: dict[str, set[tuple[object, ...]]] = {}
@@ -140,7 +169,7 @@ def _comparison(outcomes: Sequence[Outcome], focus_mm: float) -> list[TableOf]:
         return []
     chosen = [o for o in outcomes if _case_of(o) in common]
     groups = grouped(chosen, lambda o: (o.method, o.size), focus_mm)
-    return [figures_table("Side by side: the regions that every method measured", "size", groups)]
+    return [figures_table("Side by side: the regions that every method measured", "size", _ordered(groups, "size"))]
 
 
 def _case_of(o: Outcome) -> tuple[object, ...]:
@@ -155,7 +184,7 @@ def _blank_table(blank: Sequence[Outcome]) -> TableOf:
         (method, size, len(group), percent(sum(not o.answered for o in group) / len(group)))
         for (method, size), group in groups.items()
     )
-    return TableOf("A blank wall", ("method", "size", "n", "refused %"), rows)
+    return TableOf("A blank wall", ("method", "size", "n", "refused"), rows)
 
 
 def markdown_page(title: str, facts: Mapping[str, object], tables: Sequence[TableOf], figures: Sequence[str]) -> str:
@@ -165,12 +194,12 @@ def markdown_page(title: str, facts: Mapping[str, object], tables: Sequence[Tabl
     return "\n".join(lines) + "\n" + "\n".join(table.markdown() for table in tables)
 
 
-COLUMN_NOTES = """n: regions. Answered: a depth was given; unmarked: given, and not called ambiguous. Both, and the
-gross ones, are percentages of all regions; the others of the answered ones. Exact: within 5 cm, so that rounding to the
-10 cm grid gives the truth. Gross: off by more than 40 cm; unm. gross: and not called ambiguous. Flips: on the wrong side
-of focus and nearer to the mirror depth. Fine: RMS error of answers neither gross nor flipped; beside it the Cramer-Rao
-bound of the same regions, for a Gaussian texture of known spectrum. In 95 %: the interval holds the truth. Time: median
-per region, of one core, all regions of a frame measured together."""
+COLUMN_NOTES = """n: regions; what counts regions is in per cent. Answered: a depth was given; unmarked: given, and not
+called ambiguous. Both, and the gross ones, are fractions of all regions; the others of the answered ones. Exact: within
+5 cm, so that rounding to the 10 cm grid gives the truth. Gross: off by more than 40 cm; unm. gross: and not called
+ambiguous. Flips: on the wrong side of focus and nearer to the mirror depth. Fine: RMS error of answers neither gross
+nor flipped; beside it the Cramer-Rao bound of the same regions, for a Gaussian texture of known spectrum. In 95 %: the
+interval holds the truth. Time: median per region, of one core, all regions of a frame measured together."""
 
 
 def tables_json(outcomes: Sequence[Outcome], focus_mm: float) -> dict[str, list[dict[str, Any]]]:
@@ -179,7 +208,7 @@ def tables_json(outcomes: Sequence[Outcome], focus_mm: float) -> dict[str, list[
     result: dict[str, list[dict[str, Any]]] = {}
     for name, (parts, key) in GROUPINGS.items():
         result[name] = [
-            {"method": group[0], **dict(zip(parts, group[1:], strict=True)), **asdict(figures)}
+            {"method": group[0], **dict(zip(parts, group[1:], strict=False)), **asdict(figures)}
             for group, figures in grouped(textured, key, focus_mm).items()
         ]
     return result

@@ -4,22 +4,27 @@ from __future__ import annotations
 
 import os
 import time
-from dataclasses import asdict
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 import click
 
+from calibration.bank import Bank
 from workbench.banks import open_bank
 from workbench.bench.accuracy import Run, run_cases
+from workbench.bench.bench_banks import default_work, raws_bank, rig_settings, simulated_bank
 from workbench.bench.cases import BLANK, LIGHTS, SIZES, TEXTURES, depth_list, make_cases
 from workbench.bench.scoring import Outcome
-from workbench.bench.simulated_bank import default_work, rig_settings, simulated_bank
-from workbench.bench.tables import accuracy_tables, markdown_page, tables_json
+from workbench.bench.tables import TableOf, accuracy_tables, markdown_page, singles_table, tables_json
+from workbench.bench.truth import read_truth, run_truth
 from workbench.cli.common import LENGTH, Context, command_options
 from workbench.depth.methods import DEFAULT_METHOD, METHODS, make_options
 from workbench.files import staged_files, write_json
 from workbench.units import seconds_text
+
+Settings = Mapping[str, Mapping[str, str]]
 
 
 class NamesParam(click.ParamType[tuple[str, ...]]):
@@ -56,129 +61,142 @@ def parse_method_settings(
     return settings
 
 
+@dataclass(frozen=True, slots=True)
+class Form:
+    """How much of everything an accuracy run takes."""
+
+    depths: int
+    lights: tuple[str, ...]
+    every: int
+    """Reference methods measure one case of so many."""
+
+
+QUICK = Form(depths=6, lights=("normal",), every=6)
+FULL = Form(depths=59, lights=tuple(LIGHTS), every=12)
+
+
 @click.group()
 def bench() -> None:
     """Accuracy and speed tables, side by side with the reference methods."""
 
 
-QUICK = {"depths": 6, "lights": ("normal",), "every": 6}
-FULL = {"depths": 59, "lights": tuple(LIGHTS), "every": 12}
+def accuracy_options(function: click.decorators.FC) -> click.decorators.FC:
+    """All options of ``bench accuracy``."""
+    path = click.Path(path_type=Path, file_okay=False)
+    for option in reversed(
+        (
+            click.option("--full", is_flag=True, help="Every depth for every texture and light: tens of minutes."),
+            click.option("--raws", type=path,
+                         help="Measure this directory's RAW files instead; its truth.json knows their depths."),
+            click.option("--methods", type=NamesParam("methods", tuple(METHODS)), default="all", show_default=True,
+                         help="Methods to compare, with commas."),
+            click.option("--textures", type=NamesParam("textures", (*TEXTURES, BLANK)), default="all",
+                         show_default=True, help="Texture classes."),
+            click.option("--sizes", type=NamesParam("sizes", SIZES), default="all", show_default=True,
+                         help="Sizes of regions in developed pixels."),
+            click.option("--lights", type=NamesParam("lights", tuple(LIGHTS)), default=None,
+                         help="Light levels; quick form: normal, full form: all."),
+            click.option("--depths", type=click.IntRange(1, 59), default=None,
+                         help=f"Depths per texture; quick {QUICK.depths}, full {FULL.depths}."),
+            click.option("--reference-every", "every", type=click.IntRange(1), default=None,
+                         help=f"Beside {DEFAULT_METHOD}, other methods measure one case of so many; quick "
+                         f"{QUICK.every}, full {FULL.every}."),
+            click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True,
+                         help="Of textures, depths, shapes and noise."),
+            click.option("--bank", "bank_ref", default=None,
+                         help="Bank of the project (-C). Default: made of the simulated rig, or of psf/ in --raws."),
+            click.option("--bank-step", "step_mm", type=LENGTH, default="10cm", show_default=True,
+                         help="Between the planes of the simulated rig's bank."),
+            click.option("--work", type=path, default=None,
+                         help="Where banks are kept for the next run; default: the user's cache directory."),
+            click.option("--set", "settings", multiple=True, callback=parse_method_settings,
+                         metavar="METHOD.NAME=VALUE", help="Option of a method; repeatable."),
+            click.option("--jobs", type=click.IntRange(1), default=None, help="Processes; default: at most two."),
+            click.option("--out", type=path, help="Directory for accuracy.json, accuracy.md and figures."),
+        )
+    ):  # fmt: skip
+        function = option(function)
+    return function
 
 
 @bench.command()
-@click.option("--full", is_flag=True, help="Every depth for every texture and light level: tens of minutes.")
-@click.option(
-    "--methods",
-    type=NamesParam("methods", tuple(METHODS)),
-    default="all",
-    show_default=True,
-    help="Methods to compare, with commas.",
-)
-@click.option(
-    "--textures",
-    type=NamesParam("textures", (*TEXTURES, BLANK)),
-    default="all",
-    show_default=True,
-    help="Texture classes.",
-)
-@click.option(
-    "--sizes",
-    type=NamesParam("sizes", SIZES),
-    default="all",
-    show_default=True,
-    help="Sizes of regions in developed pixels.",
-)
-@click.option(
-    "--lights",
-    type=NamesParam("lights", tuple(LIGHTS)),
-    default=None,
-    help="Light levels; quick form: normal, full form: all.",
-)
-@click.option("--depths", type=click.IntRange(1, 59), default=None, help="Depths per texture; quick 6, full 59.")
-@click.option(
-    "--reference-every",
-    "every",
-    type=click.IntRange(1),
-    default=None,
-    help=f"Methods other than {DEFAULT_METHOD} measure one case of so many; quick 6, full 12.",
-)
-@click.option(
-    "--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Of textures, depths, shapes and noise."
-)
-@click.option(
-    "--bank",
-    "bank_ref",
-    default=None,
-    help="Bank of the project (-C); default: the simulated rig is calibrated, once, in --work.",
-)
-@click.option(
-    "--bank-step",
-    "step_mm",
-    type=LENGTH,
-    default="10cm",
-    show_default=True,
-    help="Between the planes of the simulated rig's bank.",
-)
-@click.option(
-    "--work",
-    type=click.Path(path_type=Path, file_okay=False),
-    default=None,
-    help="Where the simulated rig's banks are kept; default: the user's cache directory.",
-)
-@click.option(
-    "--set",
-    "settings",
-    multiple=True,
-    callback=parse_method_settings,
-    metavar="METHOD.NAME=VALUE",
-    help="Option of a method; repeatable.",
-)
-@click.option("--jobs", type=click.IntRange(1), default=None, help="Processes; default: two, or one core's worth.")
-@click.option(
-    "--out",
-    type=click.Path(path_type=Path, file_okay=False),
-    help="Directory for accuracy.json, accuracy.md and figures.",
-)
+@accuracy_options
 @command_options
 def accuracy(
-    context: Context, full: bool, methods: tuple[str, ...], textures: tuple[str, ...], sizes: tuple[str, ...],
-    lights: tuple[str, ...] | None, depths: int | None, every: int | None, seed: int, bank_ref: str | None,
-    step_mm: float, work: Path | None, settings: dict[str, dict[str, str]], jobs: int | None, out: Path | None,
+    context: Context, full: bool, raws: Path | None, methods: tuple[str, ...], bank_ref: str | None, work: Path | None,
+    settings: Settings, out: Path | None, **chosen: Any,
 ) -> None:  # fmt: skip
     """Measure scenes of known depth with every method.
 
     Scenes are photographed by the simulated rig; no project is needed. The quick form takes about a minute.
     """
+    work = work or default_work()
+    if raws is not None:
+        _measure_raws(context, context.existing(raws, "directory"), methods, settings, bank_ref, work, out)
+    else:
+        _measure_simulated(context, FULL if full else QUICK, methods, settings, bank_ref, work, out, **chosen)
+
+
+def _measure_simulated(
+    context: Context, form: Form, methods: tuple[str, ...], settings: Settings, bank_ref: str | None, work: Path,
+    out: Path | None, *, textures: tuple[str, ...], sizes: tuple[str, ...], lights: tuple[str, ...] | None,
+    depths: int | None, every: int | None, seed: int, step_mm: float, jobs: int | None,
+) -> None:  # fmt: skip
     started = time.monotonic()
-    form: dict[str, Any] = FULL if full else QUICK
-    lights = lights or form["lights"]
     if bank_ref is not None:
         project = context.project()
         bank, config = open_bank(project, bank_ref)[0], project.config()
     else:
         with context.progress("calibrating the simulated rig") as observer:
-            bank, config = simulated_bank(work or default_work(), seed=1, step_mm=step_mm, observer=observer)
+            bank, config = simulated_bank(work, seed=1, step_mm=step_mm, observer=observer)
     rig = rig_settings(config)
-    cases = make_cases(textures, depth_list(rig.stage_zero_mm, seed), depths or form["depths"], seed)
-    rounds = -(-(depths or form["depths"]) // (every or form["every"]))
+    per_texture = depths or form.depths
+    cases = make_cases(textures, depth_list(rig.stage_zero_mm, seed), per_texture, seed)
+    # the first cases hold every texture equally often
+    first = -(-per_texture // (every or form.every)) * len(textures)
     references = [name for name in methods if name != DEFAULT_METHOD and len(methods) > 1]
-    run = Run(methods, sizes, lights, dict.fromkeys(references, rounds * len(textures)), settings)
+    run = Run(methods, sizes, lights or form.lights, dict.fromkeys(references, first), settings)
     with context.progress("bench accuracy") as observer:
         outcomes = run_cases(cases, run, bank, rig, jobs=jobs or min(2, os.cpu_count() or 1), observer=observer)
     facts = {
-        "methods": ", ".join(methods),
-        "bank": f"{bank.id}, {len(bank.depths_mm)} planes from {bank.depths_mm[0] / 10:.1f} to "
-        f"{bank.depths_mm[-1] / 10:.1f} cm",
-        "focus": f"{bank.lens.focus_mm / 10:.2f} cm",
-        "cases": f"{len(cases)} frames, seed {seed}, light {', '.join(lights)}",
+        **_bank_facts(bank),
+        "cases": f"{len(cases)} frames, seed {seed}, light {', '.join(run.lights)}",
         "took": seconds_text(time.monotonic() - started),
     }
-    report(context, outcomes, bank.lens.focus_mm, facts, out)
+    _report(context, outcomes, bank.lens.focus_mm, facts, out)
 
 
-def report(context: Context, outcomes: list[Outcome], focus_mm: float, facts: dict[str, str], out: Path | None) -> None:
+def _measure_raws(
+    context: Context, raws: Path, methods: tuple[str, ...], settings: Settings, bank_ref: str | None, work: Path,
+    out: Path | None,
+) -> None:  # fmt: skip
+    files = read_truth(raws)
+    if bank_ref is not None:
+        bank = open_bank(context.project(), bank_ref)[0]
+    else:
+        context.note(f"bank: from {raws / 'psf'}")
+        bank = raws_bank(work, raws / "psf")
+    with context.progress("bench accuracy") as observer:
+        singles = run_truth(files, bank, methods, settings, observer)
+    table = singles_table([(single.name, single.outcome) for single in singles])
+    facts = {"files": str(raws), **_bank_facts(bank)}
+    _report(context, [single.outcome for single in singles], bank.lens.focus_mm, facts, out, [table])
+
+
+def _bank_facts(bank: Bank) -> dict[str, str]:
+    near, far = bank.depths_mm[0] / 10, bank.depths_mm[-1] / 10
+    return {
+        "bank": f"{bank.id}, {len(bank.depths_mm)} planes from {near:.1f} to {far:.1f} cm",
+        "focus": f"{bank.lens.focus_mm / 10:.2f} cm",
+    }
+
+
+def _report(
+    context: Context, outcomes: Sequence[Outcome], focus_mm: float, facts: Mapping[str, str], out: Path | None,
+    first: Sequence[TableOf] = (),
+) -> None:  # fmt: skip
     """Show the tables, write the files."""
-    tables = accuracy_tables(outcomes, focus_mm)
+    tables = [*first, *accuracy_tables(outcomes, focus_mm)]
     for table in tables:
         context.table(table.columns, table.rows, title=table.title)
         context.say()

@@ -1,13 +1,15 @@
-"""The bank of an accuracy run: a whole calibration of the simulated rig, kept for the next run."""
+"""Banks of accuracy runs: whole calibrations, of the simulated rig or from RAW files, kept for the next run."""
 
 from __future__ import annotations
 
 import os
 import shutil
+from collections.abc import Sequence
 from pathlib import Path
 
 import calibration
 from calibration.bank import Bank
+from calibration.frames import find_frames
 from calibration.raw import develop
 from rigs.simulated.world import SimulatedRigSettings
 from workbench import calibrate
@@ -58,15 +60,50 @@ def simulated_bank(work: Path, *, seed: int, step_mm: float, observer: Observer)
     observer
         Progress.
     """
-    code = [sha256_file(path) for path in sorted(Path(calibration.__path__[0]).glob("*.py"))]
-    code.append(sha256_file(Path(calibrate.__file__)))
-    root = work / f"bank-{sha256_json([seed, step_mm, code])[:12]}"
-    project = Project(root) if (root / "rig.yaml").exists() else create_project(root, preset="small", seed=seed)
+    project = _scratch(work / f"bank-{_key([seed, step_mm])}", seed)
     config = project.config()
-    if not (project.banks / "registry.jsonl").exists():
+    if not _has_bank(project):
         with project.lock_rig():
             _calibrate(project, config, step_mm, observer)
     return open_bank(project, "active")[0], config
+
+
+def raws_bank(work: Path, directory: Path) -> Bank:
+    """Make a bank from RAW files of points as ``workbench calibrate --frames`` does, or open the one made before.
+
+    Parameters
+    ----------
+    work
+        Directory for projects with such banks.
+    directory
+        Holds the frames, see :func:`calibration.frames.find_frames`.
+
+    Raises
+    ------
+    CalibrationError
+        The files can't be used.
+    """
+    listed = find_frames(directory)
+    paths = [*listed.darks, *(path for _, repeats in listed.points for path in repeats)]
+    project = _scratch(work / f"raws-{_key([sha256_file(path) for path in paths])}", 1)
+    if not _has_bank(project):
+        with project.lock_rig():
+            calibrate.calibrate_frames(project, directory, project.config(), apply_zero=False)
+    return open_bank(project, "active")[0]
+
+
+def _key(settings: Sequence[object]) -> str:
+    """Twelve digits for settings and the code that makes banks of them."""
+    code = [sha256_file(path) for path in sorted(Path(calibration.__path__[0]).glob("*.py"))]
+    return sha256_json([list(settings), code, sha256_file(Path(calibrate.__file__))])[:12]
+
+
+def _scratch(root: Path, seed: int) -> Project:
+    return Project(root) if (root / "rig.yaml").exists() else create_project(root, preset="small", seed=seed)
+
+
+def _has_bank(project: Project) -> bool:
+    return (project.banks / "registry.jsonl").exists()
 
 
 def _calibrate(project: Project, config: RigConfig, step_mm: float, observer: Observer) -> None:
