@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import os
 import shutil
-from collections.abc import Sequence
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import calibration
@@ -22,6 +24,8 @@ from workbench.planning import make_plan
 from workbench.progress import Observer
 from workbench.project import Project, create_project
 from workbench.session import SessionRunner, create_session
+
+_PATIENCE_S = 300.0
 
 
 def default_work() -> Path:
@@ -62,8 +66,8 @@ def simulated_bank(work: Path, *, seed: int, step_mm: float, observer: Observer)
     """
     project = _scratch(work / f"bank-{_key([seed, step_mm])}", seed)
     config = project.config()
-    if not _has_bank(project):
-        with project.lock_rig():
+    with _alone(project):
+        if not _has_bank(project):
             _calibrate(project, config, step_mm, observer)
     return open_bank(project, "active")[0], config
 
@@ -86,8 +90,8 @@ def raws_bank(work: Path, directory: Path) -> Bank:
     listed = find_frames(directory)
     paths = [*listed.darks, *(path for _, repeats in listed.points for path in repeats)]
     project = _scratch(work / f"raws-{_key([sha256_file(path) for path in paths])}", 1)
-    if not _has_bank(project):
-        with project.lock_rig():
+    with _alone(project):
+        if not _has_bank(project):
             calibrate.calibrate_frames(project, directory, project.config(), apply_zero=False)
     return open_bank(project, "active")[0]
 
@@ -100,6 +104,22 @@ def _key(settings: Sequence[object]) -> str:
 
 def _scratch(root: Path, seed: int) -> Project:
     return Project(root) if (root / "rig.yaml").exists() else create_project(root, preset="small", seed=seed)
+
+
+@contextmanager
+def _alone(project: Project) -> Iterator[None]:
+    """Hold a project; where another run is making its bank, wait for that one."""
+    deadline = time.monotonic() + _PATIENCE_S
+    with ExitStack() as held:
+        while True:
+            try:
+                held.enter_context(project.lock_rig())
+                break
+            except InputError:
+                if time.monotonic() > deadline:
+                    raise
+                time.sleep(1.0)
+        yield
 
 
 def _has_bank(project: Project) -> bool:

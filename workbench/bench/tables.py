@@ -8,7 +8,9 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from workbench.bench.cases import BLANK
+from workbench.bench.method_speed import MemoryRow, MethodRow
 from workbench.bench.scoring import Figures, Outcome, grouped
+from workbench.bench.speed import SpeedRow
 
 BANDS_MM = ((0.0, 1000.0), (1000.0, 1400.0), (1400.0, 1800.0), (1800.0, 2500.0), (2500.0, math.inf))
 """Depth bands; the third is within 20 cm of the focal plane."""
@@ -92,9 +94,9 @@ def _light(outcomes: Sequence[Outcome]) -> str:
 def _ordered(groups: Mapping[tuple[str, ...], Figures], name: str) -> dict[tuple[str, ...], Figures]:
     """Methods side by side within each group; depth bands from near to far."""
     methods = list(dict.fromkeys(key[0] for key in groups))
-    parts = [(band_name(low),) for low, _ in BANDS_MM] if name == "depth" else list(
-        dict.fromkeys(key[1:] for key in groups)
-    )  # fmt: skip
+    parts = list(dict.fromkeys(key[1:] for key in groups))
+    if name == "depth":
+        parts = [(band_name(low),) for low, _ in BANDS_MM]
     return dict(sorted(groups.items(), key=lambda item: (parts.index(item[0][1:]), methods.index(item[0][0]))))
 
 
@@ -185,6 +187,35 @@ def _blank_table(blank: Sequence[Outcome]) -> TableOf:
         for (method, size), group in groups.items()
     )
     return TableOf("A blank wall", ("method", "size", "n", "refused"), rows)
+
+
+SPEED_COLUMNS = ("20 iterations of Richardson-Lucy", "median", "fastest", "x transforms", "faster than scikit-image",
+                 "largest difference")  # fmt: skip
+
+
+def speed_tables(
+    kernels: Sequence[SpeedRow], methods: Sequence[MethodRow], memory: Sequence[MemoryRow], frame: str
+) -> list[TableOf]:
+    """Tables of ``bench speed``; those without rows are left out."""
+    tables = [
+        TableOf("Deconvolution", SPEED_COLUMNS, tuple(
+            (r.name, _seconds(r.median_s), _seconds(r.fastest_s), f"{r.times_floor:.2f}", _factor(r.speed_up),
+             f"{r.largest_difference:.1e}" if math.isfinite(r.largest_difference) else "-")
+            for r in kernels
+        )),
+        TableOf(f"Whole methods: {frame}", ("method", "time", "faster than sharpness", "depths timed"), tuple(
+            (r.name, _seconds(r.seconds), _factor(r.speed_up), f"{r.scaled}, scaled to all" if r.scaled else "all")
+            for r in methods
+        )),
+        TableOf(f"Measuring in a process of its own: {frame}", ("method", "peak memory", "time", "regions"), tuple(
+            (r.method, f"{r.peak_bytes / 1e9:.2f} GB", _seconds(r.seconds), r.regions) for r in memory
+        )),
+    ]  # fmt: skip
+    return [table for table in tables if table.rows]
+
+
+def _factor(value: float) -> str:
+    return f"{value:.2f}" if math.isfinite(value) else "-"
 
 
 def markdown_page(title: str, facts: Mapping[str, object], tables: Sequence[TableOf], figures: Sequence[str]) -> str:

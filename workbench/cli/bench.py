@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import tempfile
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -11,19 +12,37 @@ from typing import Any
 
 import click
 
-from calibration.bank import Bank
+from calibration.bank import Bank, save_bank
+from calibration.raw import develop
+from rigs.simulated.rig import render_scene_frame
 from workbench.banks import open_bank
 from workbench.bench.accuracy import Run, run_cases
 from workbench.bench.bench_banks import default_work, raws_bank, rig_settings, simulated_bank
 from workbench.bench.cases import BLANK, LIGHTS, SIZES, TEXTURES, depth_list, make_cases
+from workbench.bench.method_speed import MemoryRow, MethodRow, method_rows, peak_memory
 from workbench.bench.scoring import Outcome
-from workbench.bench.tables import TableOf, accuracy_tables, markdown_page, singles_table, tables_json
+from workbench.bench.speed import speed_table
+from workbench.bench.tables import (
+    TableOf,
+    accuracy_tables,
+    markdown_page,
+    singles_table,
+    speed_tables,
+    tables_json,
+)
 from workbench.bench.truth import read_truth, run_truth
 from workbench.cli.common import LENGTH, Context, command_options
 from workbench.depth.methods import DEFAULT_METHOD, METHODS, make_options
+from workbench.figures.bench import error_and_bound, measured_against_true, rates_by_texture
+from workbench.figures.style import to_bytes
 from workbench.files import staged_files, write_json
 from workbench.units import seconds_text
 
+FIGURES = {
+    "measured_against_true": measured_against_true,
+    "rates_by_texture": rates_by_texture,
+    "error_and_bound": error_and_bound,
+}
 Settings = Mapping[str, Mapping[str, str]]
 
 
@@ -204,10 +223,93 @@ def _report(
         context.say(f"{name}: {fact}")
     result = {**facts, "focus_mm": focus_mm, "tables": tables_json(outcomes, focus_mm)}
     if out is not None:
+        textured = [outcome for outcome in outcomes if outcome.texture != BLANK]
         with staged_files(out) as directory:
             raw = [asdict(outcome) for outcome in outcomes]
             write_json(directory / "accuracy.json", {**result, "outcomes": raw})
-            page = markdown_page("Accuracy", facts, tables, [])
+            page = markdown_page("Accuracy", facts, tables, [f"{name}.png" for name in FIGURES if textured])
             (directory / "accuracy.md").write_text(page, encoding="utf-8")
+            for name, draw in FIGURES.items() if textured else ():
+                figure = draw(textured, focus_mm)
+                (directory / f"{name}.png").write_bytes(to_bytes(figure, "png"))
+                (directory / f"{name}.svg").write_bytes(to_bytes(figure, "svg"))
         context.say(f"written: {out}")
     context.emit(result)
+
+
+def parse_size(_ctx: click.Context, _param: click.Parameter, text: str) -> tuple[int, int]:
+    """WIDTHxHEIGHT as (height, width)."""
+    width, times, height = text.lower().partition("x")
+    if not times or not width.isdigit() or not height.isdigit() or min(int(width), int(height)) < 128:
+        raise click.BadParameter(f"{text!r}: give WIDTHxHEIGHT in pixels, at least 128x128")
+    return int(height), int(width)
+
+
+@bench.command()
+@click.option(
+    "--size",
+    callback=parse_size,
+    default="1296x864",
+    show_default=True,
+    help="Image for the deconvolution table, pixels.",
+)
+@click.option("--repeats", type=click.IntRange(1), default=5, show_default=True, help="Turns of the contenders.")
+@click.option(
+    "--frame",
+    callback=parse_size,
+    default="5184x3456",
+    show_default=True,
+    help="Photosites of the frame for whole methods; the default is a full EOS 650D frame.",
+)
+@click.option(
+    "--methods",
+    type=NamesParam("methods", ("none", *METHODS)),
+    default="evidence,sharpness",
+    show_default=True,
+    help="Methods to time on that frame with six regions; none for none.",
+)
+@click.option(
+    "--scikit-image-depths",
+    type=click.IntRange(0),
+    default=1,
+    show_default=True,
+    help="Depths at which the paper's method on scikit-image is timed; 0 leaves it out.",
+)
+@click.option("--memory/--no-memory", default=True, show_default=True, help="Measure the frame for its peak memory.")
+@click.option(
+    "--work",
+    type=click.Path(path_type=Path, file_okay=False),
+    default=None,
+    help="Where banks are kept for the next run; default: the user's cache directory.",
+)
+@command_options
+def speed(
+    context: Context, size: tuple[int, int], repeats: int, frame: tuple[int, int], methods: tuple[str, ...],
+    scikit_image_depths: int, memory: bool, work: Path | None,
+) -> None:  # fmt: skip
+    """Time deconvolution against scikit-image and bare transforms, and whole methods on a full frame."""
+    context.note(f"deconvolution: {size[1]} x {size[0]} pixels, {repeats} turns")
+    kernels = speed_table(size, repeats=repeats)
+    rows: list[MethodRow] = []
+    used: list[MemoryRow] = []
+    methods = tuple(name for name in methods if name != "none")
+    if methods:
+        with context.progress("calibrating the simulated rig") as observer:
+            bank, config = simulated_bank(work or default_work(), seed=1, step_mm=100.0, observer=observer)
+        context.note(f"rendering a frame of {frame[1]} x {frame[0]} photosites")
+        with tempfile.TemporaryDirectory(prefix="workbench-bench-") as scratch:
+            path = Path(scratch) / "frame.dng"
+            render_scene_frame("four-objects", rig_settings(config), frame_shape=frame).write(path)
+            bank_directory = save_bank(bank, Path(scratch))
+            if memory:
+                for method in methods:
+                    context.note(f"measuring it with {method} for its peak memory")
+                    used.append(peak_memory(bank_directory, path, method))
+            context.note(f"timing {', '.join(methods)} on six regions")
+            rows = method_rows(develop(path), bank, methods, scikit_image_depths=scikit_image_depths)
+    tables = speed_tables(kernels, rows, used, f"{frame[1]} x {frame[0]} photosites, one thread")
+    for table in tables:
+        context.table(table.columns, table.rows, title=table.title)
+        context.say()
+    context.emit({"deconvolution": [asdict(row) for row in kernels], "methods": [asdict(row) for row in rows],
+                  "memory": [asdict(row) for row in used]})  # fmt: skip

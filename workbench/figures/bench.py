@@ -101,7 +101,7 @@ def rates_by_texture(outcomes: Sequence[Outcome], focus_mm: float) -> Figure:
 
 
 def error_and_bound(outcomes: Sequence[Outcome], focus_mm: float) -> Figure:
-    """RMS error of the answers on the right side, by depth band and size, over the Cramer-Rao bound of the same ones."""
+    """RMS error of the fine answers by depth band and size, over the Cramer-Rao bound of the same ones."""
     sizes = list(dict.fromkeys(o.size for o in outcomes))
     methods = list(dict.fromkeys(o.method for o in outcomes))
     bands = [band_name(low) for low, _ in BANDS_MM]
@@ -113,8 +113,8 @@ def error_and_bound(outcomes: Sequence[Outcome], focus_mm: float) -> Figure:
                 found = [groups.get((size, method, band)) for band in bands]
                 colour = REGION_COLOURS[k % len(REGION_COLOURS)]
                 axes.plot([f.fine_rms_cm if f else np.nan for f in found], "o-", color=colour, label=method)
-                if k == 0:
-                    bounds = [f.bound_cm if f else np.nan for f in found]
+                bounds = [f.bound_cm if f else np.nan for f in found]
+                if k == 0 and np.isfinite(bounds).any():
                     axes.plot(bounds, "v:", color=INK, ms=3, label=f"bound (regions of {method})")
             axes.set_yscale("log")
             axes.set_title(size)
