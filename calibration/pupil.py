@@ -229,6 +229,10 @@ def fit_pupil(
     half = psf.shape[1] // 2
     chief = np.array([(s.centre_y - half, s.centre_x - half) for s in fit.spots])
     model = _assemble(fit.template, fit.core_px, np.asarray(depths_mm, np.float64), chief, lens, psf.shape[1])
+    # the picture's unit is the circle about its own outline, the lens fit's may be another
+    found, expected = np.array([s.radius_px for s in fit.spots]), lens.sigma_px(model.depths_mm)
+    unit = float(found @ expected / (expected @ expected))
+    model = replace(model, radius_line=(model.radius_line[0] * unit, model.radius_line[1] * unit))
     return replace(model, residual=_residual(model, psf, psf_se))
 
 

@@ -22,7 +22,7 @@ from workbench.depth.estimate import DepthEstimate, Status
 from workbench.depth.evidence_model import DepthModel, EvidenceOptions, Learned, learned_of, prepare
 from workbench.depth.evidence_posterior import find_modes, mode_scores, signed_posterior, summarise
 from workbench.depth.evidence_side import sparseness
-from workbench.depth.evidence_spectrum import SpectralFit, TextureFactor, fit_spectra, smeared_power
+from workbench.depth.evidence_spectrum import SpectralFit, TextureFactor, fit_spectra, frequencies, smeared_power
 from workbench.depth.evidence_windows import Window, place_windows, pooled_periodogram
 
 __all__ = [
@@ -40,6 +40,8 @@ Mask = NDArray[np.bool_]
 
 _ENOUGH = 0.7
 """Full windows' worth of region below which smaller windows are tried."""
+_LOW_CYCLES = 6.0
+_LEAST_LOW_SHARE = 0.25
 
 
 def estimate_evidence(
@@ -80,6 +82,8 @@ class Observation:
     fit: SpectralFit
     pixels: float
     """Pixels' worth of information: sum of the squared tapers' weights."""
+    low_share: float
+    """Share of the lowest frequencies that stand above the noise."""
 
 
 def observe(plane: NDArray[np.float32], mask: Mask, model: DepthModel, options: EvidenceOptions) -> Observation | None:
@@ -99,7 +103,18 @@ def observe(plane: NDArray[np.float32], mask: Mask, model: DepthModel, options: 
     factor = TextureFactor(options.factor_spread, options.factor_wide_share, options.factor_wide_spread)
     fit = fit_spectra(pooled.power, averages, expected, factor=factor)
     pixels = sum(w.weight for w in windows) * size * size * 0.25  # half overlap both ways: each pixel counts fourfold
-    return Observation(windows, fit, max(pixels, size * size * windows[0].weight))
+    return Observation(windows, fit, max(pixels, size * size * windows[0].weight), _low_share(pooled.power, fit))
+
+
+def _low_share(power: FloatArray, fit: SpectralFit) -> float:
+    """Of the frequencies up to a few cycles per window, the share with three times the noise's power.
+
+    Every blur passes them, and every texture but a strict pattern has them: falling spectra reach highest there.
+    """
+    modulus, _, used = frequencies(power.shape[0])
+    lowest = used & (modulus * power.shape[0] <= _LOW_CYCLES)
+    noise = np.exp(float(fit.log_noise[int(fit.log_likelihood.argmax())]))
+    return float((power[lowest] > 3.0 * noise).mean())
 
 
 def side_features(
@@ -140,6 +155,9 @@ def measure_region(
     gain = float(seen.fit.log_likelihood.max()) - seen.fit.null
     if gain < options.least_evidence:
         return _refused(model, "no-texture", pixels, "no texture above the noise")
+    if seen.low_share < _LEAST_LOW_SHARE:
+        reason = "only isolated spatial frequencies stand above the noise (a strict pattern): any blur explains them"
+        return _refused(model, "no-texture", pixels, reason)
     return _conclude(plane, seen, model, learned, options)
 
 

@@ -17,7 +17,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
-from scipy.special import gammaln, logsumexp
+from scipy.special import gammaln
 
 from workbench.depth.compiled import compiled
 
@@ -122,13 +122,13 @@ def smeared_power(kernel_lags: Float32, taper_lags: FloatArray, size: int) -> Fl
     -------
     float32 (D, N, N // 2 + 1).
     """
-    reach = kernel_lags.shape[1] // 2
+    lags = kernel_lags * taper_lags.astype(np.float32)
+    reach = lags.shape[1] // 2
     where = np.arange(-reach, reach + 1) % size
-    product = kernel_lags * taper_lags.astype(np.float32)
-    folded = np.zeros((kernel_lags.shape[0], size, product.shape[2]), np.float32)
+    folded = np.zeros((lags.shape[0], size, lags.shape[2]), np.float32)
     for i, row in enumerate(where):
-        folded[:, row] += product[:, i]
-    square = np.zeros((kernel_lags.shape[0], size, size), np.float32)
+        folded[:, row] += lags[:, i]
+    square = np.zeros((lags.shape[0], size, size), np.float32)
     for j, column in enumerate(where):
         square[:, :, column] += folded[:, :, j]
     return np.asarray(fft.rfft2(square, axes=(1, 2)).real, np.float32)
@@ -138,15 +138,14 @@ def smeared_power(kernel_lags: Float32, taper_lags: FloatArray, size: int) -> Fl
 def _tables(averages: float, spread: float, wide_share: float, wide_spread: float) -> tuple[Float32, ...]:
     """Log density of log I, its slopes in log(S k) and log n, and the Fisher information, over the table's grid."""
     grid = _LOW + _STEP * np.arange(_CELLS)
-    nodes = np.linspace(-3.0, 3.0, 15)
-    weights = np.exp(-0.5 * nodes**2)
-    weights /= weights.sum()
-    factors = np.concatenate([nodes * spread, nodes * wide_spread])
-    shares = np.concatenate([(1.0 - wide_share) * weights, wide_share * weights])
-    log_mean = np.log(np.exp(grid[:, np.newaxis] + factors) + 1.0)
-    excess = grid[:, np.newaxis, np.newaxis] - log_mean
-    log_gamma = averages * (excess - np.exp(np.minimum(excess, 30.0)))
-    table = logsumexp(log_gamma, axis=2, b=shares) + averages * np.log(averages) - gammaln(averages)
+    # the mean is n (1 + exp(b + log g)): one function of b + log g, averaged over log g by a matrix product
+    tail = 4.0 * wide_spread
+    shifted = np.arange(_LOW - tail, grid[-1] + tail, _STEP)
+    excess = grid[:, np.newaxis] - np.logaddexp(shifted, 0.0)
+    log_gamma = averages * (excess - np.exp(np.minimum(excess, 30.0)) + np.log(averages)) - gammaln(averages)
+    distance = shifted[:, np.newaxis] - grid
+    kernel = (1.0 - wide_share) * _normal(distance, spread) + wide_share * _normal(distance, wide_spread)
+    table = np.log(np.exp(log_gamma) @ kernel + 1e-300)
     table = np.maximum(table, _LEAST_LOG)
     by_signal = np.gradient(table, _STEP, axis=1)
     by_noise = -np.gradient(table, _STEP, axis=0) - by_signal
@@ -155,6 +154,12 @@ def _tables(averages: float, spread: float, wide_share: float, wide_spread: floa
     information = [(density * a * b).sum(axis=0) for a, b in
                    ((by_signal, by_signal), (by_signal, by_noise), (by_noise, by_noise))]  # fmt: skip
     return tuple(np.ascontiguousarray(t, np.float32) for t in (table, by_signal, by_noise, *information))
+
+
+def _normal(distance: FloatArray, spread: float) -> FloatArray:
+    """Normal density on the grid, each column of unit sum."""
+    weight = np.exp(-0.5 * (distance / spread) ** 2)
+    return np.asarray(weight / weight.sum(axis=0), np.float64)
 
 
 @dataclass(frozen=True, slots=True)

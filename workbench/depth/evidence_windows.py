@@ -82,23 +82,34 @@ def place_windows(mask: Mask, size: int, *, margin_px: float, ramp_px: float, le
     rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
     if not rows.size:
         return []
+    corners = [
+        (y, x)
+        for y in _starts(int(rows[0]), int(rows[-1]) + 1, size, mask.shape[0])
+        for x in _starts(int(columns[0]), int(columns[-1]) + 1, size, mask.shape[1])
+    ]
+    return cut_windows(mask, size, corners, margin_px=margin_px, ramp_px=ramp_px, least_weight=least_weight)
+
+
+def cut_windows(
+    mask: Mask, size: int, corners: list[tuple[int, int]], *, margin_px: float, ramp_px: float, least_weight: float
+) -> list[Window]:
+    """Windows at given corners (row, column), cut by a region's outline; see :func:`place_windows`."""
     distance = edge_distance(mask)
     soft = np.clip((distance - margin_px) / max(ramp_px, 1e-6), 0.0, 1.0)
     soft = np.where(mask, soft * soft * (3.0 - 2.0 * soft), 0.0).astype(np.float32)  # smooth step
     full = np.outer(hann(size), hann(size)).astype(np.float32)
     energy = float((full**2).sum())
     windows = []
-    for y in _starts(int(rows[0]), int(rows[-1]) + 1, size, mask.shape[0]):
-        for x in _starts(int(columns[0]), int(columns[-1]) + 1, size, mask.shape[1]):
-            cut = np.zeros((size, size), np.float32)
-            inside = soft[max(y, 0) : y + size, max(x, 0) : x + size]
-            cut[max(-y, 0) : max(-y, 0) + inside.shape[0], max(-x, 0) : max(-x, 0) + inside.shape[1]] = inside
-            taper = full * cut
-            weight = float((taper**2).sum()) / energy
-            if weight >= _FULL and not _holes(cut):
-                taper, weight = full, 1.0
-            if weight >= least_weight:
-                windows.append(Window(y, x, taper, weight))
+    for y, x in corners:
+        cut = np.zeros((size, size), np.float32)
+        inside = soft[max(y, 0) : max(y + size, 0), max(x, 0) : max(x + size, 0)]
+        cut[max(-y, 0) : max(-y, 0) + inside.shape[0], max(-x, 0) : max(-x, 0) + inside.shape[1]] = inside
+        taper = full * cut
+        weight = float((taper**2).sum()) / energy
+        if weight >= _FULL and not _holes(cut):
+            taper, weight = full, 1.0
+        if weight >= least_weight:
+            windows.append(Window(y, x, taper, weight))
     return sorted(windows, key=lambda w: -w.weight)
 
 
@@ -130,7 +141,11 @@ def _mirrored(index: NDArray[np.intp], length: int) -> NDArray[np.intp]:
 
 
 def pooled_periodogram(plane: NDArray[np.float32], windows: list[Window], lags: int) -> Pooled:
-    """Average the windows' periodograms; a plane is fitted and subtracted under each taper first.
+    """Average the windows' periodograms.
+
+    The image is differenced along both axes before it is tapered, and the spectrum divided by the differences' response
+    (prewhitening, Blackman and Tukey 1958): power falls steeply with frequency, and what the taper's side lobes carry
+    from the lowest frequencies would otherwise drown the highest. A plane is subtracted first under each taper.
 
     Parameters
     ----------
@@ -142,17 +157,17 @@ def pooled_periodogram(plane: NDArray[np.float32], windows: list[Window], lags: 
         Longest lag (px) of the taper's autocorrelation that is needed.
     """
     size = windows[0].taper.shape[0]
-    total, energy, squares = np.zeros((size, size // 2 + 1)), 0.0, 0.0
+    total, energy = np.zeros((size, size // 2 + 1)), 0.0
     correlation = np.zeros((2 * size, size + 1))
     ramp = (np.arange(size) - (size - 1) / 2.0) / size
     full: tuple[float, FloatArray] | None = None
     for window in windows:
         taper = window.taper.astype(np.float64)
-        patch = _flattened(cut_out(plane, window.row, window.column, size, size), taper, ramp)
-        total += np.abs(fft.rfft2(patch * taper)) ** 2
+        context = cut_out(plane, window.row - 1, window.column - 1, size + 1, size + 1)
+        for step in (context[1:, 1:] - context[:-1, 1:], context[1:, 1:] - context[1:, :-1]):
+            total += np.abs(fft.rfft2(_flattened(step, taper, ramp) * taper)) ** 2
         e = float((taper**2).sum())
         energy += e
-        squares += e * e
         if window.weight == 1.0 and full is not None:
             correlation += full[1]
         else:
@@ -165,7 +180,24 @@ def pooled_periodogram(plane: NDArray[np.float32], windows: list[Window], lags: 
     wanted = np.arange(-lags, lags + 1)
     inside = np.abs(wanted) <= reach
     picked = lag[np.ix_(wanted % (2 * size), wanted % (2 * size))] * np.outer(inside, inside)
-    return Pooled(total / energy, energy**2 / squares, np.asarray(picked, np.float64))
+    turn = 2.0 * np.pi * np.fft.fftfreq(size)
+    response = 4.0 - 2.0 * np.cos(turn)[:, np.newaxis] - 2.0 * np.cos(turn[: size // 2 + 1])
+    response[0, 0] = 1.0
+    return Pooled(total / response / energy, _worth(windows), np.asarray(picked, np.float64))
+
+
+def _worth(windows: list[Window]) -> float:
+    """Independent periodograms that these windows amount to (Welch 1967): overlapping ones repeat each other."""
+    size = windows[0].taper.shape[0]
+    own = hann(size)
+    lags = np.correlate(own, own, "full") / float(own @ own)
+    far = np.zeros(2 * size + 1)
+    far[1:-1] = lags
+    weight = np.array([w.weight for w in windows])
+    share = np.outer(weight, weight)
+    for places in (np.array([w.row for w in windows]), np.array([w.column for w in windows])):
+        share = share * far[np.clip(places[:, np.newaxis] - places, -size, size) + size] ** 2
+    return float(weight.sum() ** 2 / share.sum())
 
 
 def _flattened(patch: FloatArray, taper: FloatArray, ramp: FloatArray) -> FloatArray:

@@ -1,0 +1,71 @@
+"""A bank and photographs from one drawn pupil, area-sampled by itself: none of the code under test draws here."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy import fft
+
+from calibration.bank import Bank
+from calibration.image import FrameInfo, LinearImage
+from calibration.lens_fit import fit_lens
+
+FOCUS_MM, SCALE_PX, HALF = 1600.0, 13.0, 20
+OUTLINE = np.array([[-4.7, -5.2], [4.7, -5.2], [4.7, -2.9], [0.2, 5.2], [-2.7, 5.2], [1.7, -2.9], [-4.7, -2.9]]) / 7.0
+"""A numeral 7 (x right, y down), in radii of its circle."""
+
+
+def radius_px(depth_mm: float) -> float:
+    return SCALE_PX * (1.0 - FOCUS_MM / depth_mm)
+
+
+def draw_psf(depth_mm: float, finer: int = 16) -> NDArray[np.float64]:
+    side = 2 * HALF + 1
+    canvas = np.zeros((side * finer, side * finer), np.uint8)
+    # a spot of 0.4 px at least, as every real lens makes
+    size = radius_px(depth_mm)
+    size = size if abs(size) > 0.4 else 0.4
+    corners = ((OUTLINE * size + HALF + 0.5) * finer - 0.5) * 256
+    cv2.fillPoly(canvas, [np.rint(corners).astype(np.int32)], 255, shift=8)
+    psf = canvas.reshape(side, finer, side, finer).mean(axis=(1, 3)).astype(np.float64)
+    return psf / psf.sum()
+
+
+def make_bank(step_mm: float = 100.0) -> Bank:
+    depths = np.arange(700.0, 3501.0, step_mm)
+    psf = np.array([draw_psf(z) for z in depths])
+    se = np.maximum(1e-3 * psf, 1e-6)
+    noisy = psf + se * np.random.default_rng(0).standard_normal(psf.shape)
+    noisy /= noisy.sum(axis=(1, 2), keepdims=True)
+    radii = np.array([radius_px(z) for z in depths])
+    lens = fit_lens(depths, radii, np.full(depths.size, 0.02), apply_zero=False)
+    return Bank(
+        depths, noisy[np.newaxis].astype(np.float32), se[np.newaxis].astype(np.float32), np.zeros((1, 2)), lens,
+        "superpixel", 0.0086,
+    )  # fmt: skip
+
+
+def leaves(side: int, seed: int) -> NDArray[np.float64]:
+    generator = np.random.default_rng(seed)
+    canvas = np.full((2 * side, 2 * side), 0.4, np.float32)
+    for _ in range(side * side // 20):
+        x, y = generator.uniform(0, 2 * side, 2)
+        radius = min(4.0 * generator.random() ** -0.5, side / 3)
+        cv2.circle(canvas, (int(x), int(y)), int(radius), float(generator.uniform(0.1, 0.8)), -1, cv2.LINE_8)
+    return cv2.resize(canvas, (side, side), interpolation=cv2.INTER_AREA).astype(np.float64)
+
+
+def photograph(texture: NDArray[np.float64], depth_mm: float, *, noise: float = 0.003, seed: int = 1) -> LinearImage:
+    """Blur, cut off what the border spoils, add noise; three equal channels."""
+    size = fft.next_fast_len(texture.shape[0] + 2 * HALF, real=True)
+    blurred = fft.irfft2(fft.rfft2(texture, s=(size, size)) * fft.rfft2(draw_psf(depth_mm), s=(size, size)))
+    inner = blurred[2 * HALF : texture.shape[0], 2 * HALF : texture.shape[1]]
+    generator = np.random.default_rng(seed)
+    planes = inner[..., np.newaxis] + noise * generator.standard_normal((*inner.shape, 3))
+    return as_image(planes.astype(np.float32))
+
+
+def as_image(planes: NDArray[np.float32]) -> LinearImage:
+    info = FrameInfo(path="made.dng", sha256="0" * 64)
+    return LinearImage(planes, planes.max(axis=2) >= 0.99, "superpixel", 0.0086, info)

@@ -1,0 +1,94 @@
+"""What the evidence method must get right, refuse, or call ambiguous."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calibration.bank import Bank
+from calibration.pupil import fit_pupil
+from tests.unit.depth_evidence.synthetic import as_image, leaves, make_bank, photograph
+from workbench.depth.evidence import EvidenceOptions, estimate_evidence
+from workbench.depth.evidence_learn import learn
+from workbench.depth.evidence_model import LEARNED, Learned
+from workbench.depth.regions import whole
+
+SIDE = 128 + 40
+
+
+@pytest.fixture(scope="module")
+def bank() -> Bank:
+    made = make_bank(step_mm=200.0)
+    pupil = fit_pupil(made.depths_mm, made.psf[0], made.psf_se[0], made.lens)
+    return replace(made, extras=pupil.as_arrays())
+
+
+@pytest.mark.parametrize("depth_mm", [800.0, 950.0, 1250.0, 2150.0, 2900.0])
+def test_textured_plane_is_found_on_its_side_and_within_the_interval(bank: Bank, depth_mm: float) -> None:
+    image = photograph(leaves(SIDE, int(depth_mm)), depth_mm)
+    found = estimate_evidence(image, bank, whole(image.shape))[1]
+    assert abs(1 / found.depth_mm - 1 / depth_mm) < 0.012e-3
+    assert found.interval_mm[0] <= depth_mm <= found.interval_mm[1]
+    assert found.score.sum() == pytest.approx(1.0)
+
+
+def test_irregular_region_with_hole_ignores_the_other_depth_around_it(bank: Bank) -> None:
+    inside, outside = photograph(leaves(SIDE + 40, 3), 2600.0), photograph(leaves(SIDE + 40, 4), 1600.0)
+    y, x = np.mgrid[: inside.shape[0], : inside.shape[1]] - inside.shape[0] // 2
+    mask = (np.hypot(y, x) < 78) & (np.hypot(y - 30, x) > 8)
+    image = as_image(np.where(mask[..., np.newaxis], inside.planes, outside.planes))
+    found = estimate_evidence(image, bank, mask.astype(np.int32))[1]
+    assert abs(found.depth_mm - 2600.0) < 150.0 or found.status == "ambiguous"
+    assert found.interval_mm[0] <= 2600.0 <= found.interval_mm[1]
+
+
+def test_blank_wall_with_shading_says_no_texture(bank: Bank) -> None:
+    y, x = np.mgrid[:128, :128] / 128.0
+    shading = 0.5 - 0.1 * x - 0.05 * (y - 0.4) ** 2
+    planes = shading[..., np.newaxis] + 0.004 * np.random.default_rng(2).standard_normal((128, 128, 3))
+    image = as_image(planes.astype(np.float32))
+    found = estimate_evidence(image, bank, whole(image.shape))[1]
+    assert found.status == "no-texture"
+    assert np.isnan(found.depth_mm)
+    assert found.reason
+
+
+def test_strict_pattern_is_refused_rather_than_put_in_focus(bank: Bank) -> None:
+    y, x = np.mgrid[:SIDE, :SIDE]
+    pattern = 0.5 + 0.2 * np.sin(2 * np.pi * x / 9.0) * np.sin(2 * np.pi * y / 9.0)
+    image = photograph(pattern, 2000.0)
+    assert estimate_evidence(image, bank, whole(image.shape))[1].status != "ok"
+
+
+def test_saturated_region_is_refused(bank: Bank) -> None:
+    image = photograph(leaves(SIDE, 5), 2000.0)
+    image.saturated[:, :64] = True
+    assert estimate_evidence(image, bank, whole(image.shape))[1].status == "saturated"
+
+
+def test_sliver_is_refused_by_name(bank: Bank) -> None:
+    image = photograph(leaves(SIDE, 6), 2000.0)
+    labels = np.zeros(image.shape, np.int32)
+    labels[:, :9] = 1
+    found = estimate_evidence(image, bank, labels, EvidenceOptions())[1]
+    assert found.status == "no-texture"
+    assert "too small" in found.reason
+
+
+def test_gaussian_texture_has_no_side_and_is_called_ambiguous(bank: Bank) -> None:
+    generator = np.random.default_rng(8)
+    spectrum = np.fft.rfft2(generator.standard_normal((SIDE, SIDE)))
+    modulus = np.hypot(np.fft.fftfreq(SIDE)[:, np.newaxis], np.fft.rfftfreq(SIDE))
+    noise = np.fft.irfft2(spectrum / np.maximum(modulus, 0.01), s=(SIDE, SIDE))
+    image = photograph(0.5 + 0.1 * (noise - noise.mean()) / noise.std(), 2600.0)
+    found = estimate_evidence(image, bank, whole(image.shape))[1]
+    assert found.status == "ambiguous"
+    assert found.interval_mm[0] <= 2600.0 <= found.interval_mm[1]
+
+
+def test_learning_is_reproducible_and_round_trips(bank: Bank) -> None:
+    first, second = learn(bank, seed=3, samples=4), learn(bank, seed=3, samples=4)
+    np.testing.assert_array_equal(first[LEARNED], second[LEARNED])
+    np.testing.assert_allclose(Learned.from_array(first[LEARNED]).as_array(), first[LEARNED])

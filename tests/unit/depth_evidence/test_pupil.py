@@ -1,0 +1,61 @@
+"""The pupil model gives the PSF between the planes, and says what it leaves over."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from calibration.bank import Bank
+from calibration.pupil import PsfInterpolator, PupilModel, fit_pupil, interpolator_of_bank, psf_model
+from tests.unit.depth_evidence.synthetic import draw_psf, make_bank
+
+
+@pytest.fixture(scope="module")
+def bank() -> Bank:
+    return make_bank(step_mm=400.0)
+
+
+@pytest.fixture(scope="module")
+def pupil(bank: Bank) -> PupilModel:
+    return fit_pupil(bank.depths_mm, bank.psf[0], bank.psf_se[0], bank.lens)
+
+
+def misfit(a: np.ndarray, b: np.ndarray) -> float:
+    return float(np.sqrt(((a - b) ** 2).sum() / (b**2).sum()))
+
+
+@pytest.mark.parametrize("depth_mm", [800.0, 1000.0, 2500.0, 3300.0])
+def test_psf_between_planes_40_cm_apart_matches_a_drawn_one(pupil: PupilModel, depth_mm: float) -> None:
+    assert misfit(pupil.psf_at(depth_mm, 41), draw_psf(depth_mm)) < 0.15
+
+
+def test_pupil_beats_blending_neighbours_between_distant_planes(bank: Bank, pupil: PupilModel) -> None:
+    blend = interpolator_of_bank(bank, 0)
+    assert misfit(pupil.psf_at(900.0, 41), draw_psf(900.0)) < misfit(blend.psf_at(900.0, 41), draw_psf(900.0))
+
+
+def test_model_survives_storage_as_arrays(pupil: PupilModel) -> None:
+    again = PupilModel.from_arrays(pupil.as_arrays())
+    np.testing.assert_allclose(again.psf_at(1234.0), pupil.psf_at(1234.0), atol=1e-7)
+    np.testing.assert_allclose(again.residual, pupil.residual)
+
+
+def test_near_psf_is_the_far_one_turned_over(pupil: PupilModel) -> None:
+    depth_mm = 2400.0
+    mirror_mm = 1 / (2 / 1600.0 - 1 / depth_mm)
+    assert misfit(pupil.psf_at(mirror_mm)[::-1, ::-1], pupil.psf_at(depth_mm)) < 0.15
+
+
+def test_outline_that_changes_with_depth_falls_back_to_interpolation(bank: Bank) -> None:
+    psf = np.array(bank.psf)
+    for i in range(0, psf.shape[1], 2):  # every second plane is another aperture
+        psf[0, i] = np.rot90(psf[0, i])
+    broken = Bank(bank.depths_mm, psf, bank.psf_se, bank.field_yx, bank.lens, bank.recipe, bank.pixel_pitch_mm)
+    pupil = fit_pupil(broken.depths_mm, broken.psf[0], broken.psf_se[0], broken.lens)
+    assert np.median(pupil.residual) > 0.15
+    blend = PsfInterpolator(broken.depths_mm, broken.psf[0], (13.0, -20800.0), np.zeros((broken.depths_mm.size, 2)))
+    np.testing.assert_allclose(blend.psf_at(float(broken.depths_mm[1])), psf[0, 1].clip(0), atol=5e-3)
+
+
+def test_bank_without_aperture_picture_is_fitted_anew(bank: Bank) -> None:
+    assert isinstance(psf_model(bank), PupilModel)
