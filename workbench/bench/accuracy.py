@@ -9,7 +9,7 @@ import time
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import cv2
@@ -83,6 +83,7 @@ def run_cases(
     observer
         Progress.
     """
+    bank = replace(bank, manifest=dict(bank.manifest), extras=dict(bank.extras))  # read-only views can't be sent
     results: dict[int, list[Outcome]] = {}
     started = time.monotonic()
     with _one_thread_each(), tempfile.TemporaryDirectory(prefix="workbench-bench-") as scratch:

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.optics import mirror_depth
 
 FloatArray = NDArray[np.float64]
 
@@ -65,7 +64,7 @@ class Figures:
     gross, unmarked_gross
         Error over 40 cm; of these, not marked ambiguous. Fractions of all regions.
     side_flips
-        On the wrong side of focus, and nearer to the mirror depth than to the truth.
+        Not exact, on the wrong side of focus, and nearer to the mirror depth than to the focal plane.
     rms_dioptres, rms_cm, median_cm
         Errors in 1/m and cm (gross errors included).
     fine_rms_cm
@@ -102,11 +101,11 @@ def is_exact(true_mm: float, depth_mm: float) -> bool:
 
 
 def is_flipped(true_mm: float, depth_mm: float, focus_mm: float) -> bool:
-    """On the other side of focus, and nearer (in 1/z) to the mirror of the truth than to the truth itself."""
-    if (true_mm - focus_mm) * (depth_mm - focus_mm) >= 0:
+    """Not exact, on the other side of focus, and nearer (in 1/z) to the mirror of the truth than to the focal plane."""
+    if (true_mm - focus_mm) * (depth_mm - focus_mm) >= 0 or is_exact(true_mm, depth_mm):
         return False
-    mirror = mirror_depth(true_mm, focus_mm=focus_mm)
-    return abs(1 / depth_mm - 1 / mirror) < abs(1 / depth_mm - 1 / true_mm)
+    mirror = 2 / focus_mm - 1 / true_mm  # in 1/z it is there even where it lies beyond infinity
+    return abs(1 / depth_mm - mirror) < abs(1 / depth_mm - 1 / focus_mm)
 
 
 def summarise(outcomes: Sequence[Outcome], focus_mm: float) -> Figures:

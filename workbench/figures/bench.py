@@ -68,6 +68,7 @@ def _scatter(axes: Axes, outcomes: Sequence[Outcome], focus_mm: float) -> None:
         axis.set_minor_locator(NullLocator())
         axis.set_major_formatter(FuncFormatter(lambda value, _: f"{100 / value:.0f}"))
         axis.set_label_text(label)
+    axes.tick_params(axis="x", rotation=60)
     axes.set_xlim(1000 / ends[1], 1000 / ends[0])
     axes.set_ylim(1000 / ends[1], 1000 / ends[0])
     axes.invert_xaxis()  # near on the left
