@@ -1,8 +1,9 @@
-"""bank list, show, diff, verify, certify, activate, revoke, import, export."""
+"""bank list, show, diff, verify, certify, activate, revoke, learn, import, export."""
 
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,7 @@ from workbench.banks import open_bank, resolve, store_bank
 from workbench.cli.common import LENGTH, Context, command_options
 from workbench.errors import CheckFailedError, InputError
 from workbench.files import replacing
+from workbench.report import write_bank_report
 from workbench.units import cm, length_mm
 
 
@@ -84,7 +86,8 @@ def _rms(values: Any) -> float:
 
 
 @click.group()
-def bank() -> None:
+@command_options
+def bank(context: Context) -> None:  # noqa: ARG001
     """Banks of point-spread functions: list, compare, choose, exchange."""
 
 
@@ -196,8 +199,12 @@ def revoke(context: Context, ref: str, reason: str, yes: bool) -> None:
     """Withdraw a bank for good; its files stay."""
     project = context.project()
     entry = resolve(project, ref)
-    if not yes:
-        click.confirm(f"Revoke bank v{entry.version} {entry.id} for good?", abort=True, err=True)
+    if not (yes or entry.revoked):
+        if not sys.stdin.isatty():
+            raise InputError(f"bank v{entry.version} {entry.id}: revoking is for good; confirm it with --yes")
+        if not click.confirm(f"Revoke bank v{entry.version} {entry.id} for good?", err=True):
+            context.say("Nothing was changed.")
+            return
     _told(context, revoke_bank(project.banks, ref, reason))
 
 
@@ -208,12 +215,19 @@ def _told(context: Context, entry: Entry) -> None:
 
 def parse_depths(text: str) -> list[float]:
     """Depths in mm from ``60,70,80cm`` or a file with one depth a line; bare numbers are centimetres."""
-    path = Path(text)
-    source = path.read_text(encoding="utf-8") if path.is_file() else text
+    source = text
+    if len(text) < 256 and Path(text).is_file():  # a longer one is a list: no file's name is
+        try:
+            source = Path(text).read_text(encoding="utf-8")
+        except UnicodeDecodeError:
+            raise InputError(f"--depths {text}: is no text file; give one depth a line") from None
     parts = [part for line in source.splitlines() for part in line.replace(";", ",").split(",") if part.strip()]
     if not parts:
         raise InputError(f"--depths {text!r}: no depths in it; give for example 60cm,70cm,80cm or a file")
-    return [length_mm(part, default_unit="cm") for part in parts]
+    try:
+        return [length_mm(part, default_unit="cm") for part in parts]
+    except InputError as error:
+        raise InputError(f"--depths: {error}") from None
 
 
 @bank.command("import")
@@ -233,6 +247,23 @@ def import_(context: Context, path: Path, depths: str | None, recipe: str, pixel
     entry, _ = store_bank(project, made)
     context.table(("", ""), bank_rows(made, entry), title=f"Bank v{entry.version} {made.id}")
     context.emit(bank_summary(made, entry))
+
+
+@bank.command()
+@click.argument("ref", default="active")
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Of the generated textures.")
+@command_options
+def learn(context: Context, ref: str, seed: int) -> None:
+    """Learn the estimator's weights from a bank's own PSFs; makes a new version of the bank that holds them."""
+    from workbench.depth.evidence_learn import learn as learn_weights
+
+    project = context.project()
+    loaded, entry = open_bank(project, ref)
+    context.note(f"bank v{entry.version}: generating textures, blurring them with its PSFs; about a minute")
+    made = replace(loaded, extras={**loaded.extras, **learn_weights(loaded, seed)})
+    new, directory = store_bank(project, made)
+    write_bank_report(made, directory / "report.html", version=f"v{new.version}")
+    _told(context, new)
 
 
 @bank.command()
