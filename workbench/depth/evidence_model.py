@@ -84,7 +84,7 @@ class Learned:
 
     temperature: float = 0.4
     size_power: float = 0.25
-    floor_px: float = 0.03
+    floor_px: float = 0.04
     outlier: float = 0.003
     side_weights: tuple[float, ...] = (20.0, 30.0, 30.0, 5.0, 15.0, 10.0)
     mode_weights: tuple[float, ...] = (10.0, 25.0, 0.0, 0.0, 40.0, 0.0)

@@ -15,6 +15,9 @@ Mask = NDArray[np.bool_]
 
 _FINER = 8
 """The posterior's grid is finer than the likelihood's by this factor."""
+_SOFTNESS_PX, _SOFTNESS_RANGE_PX = 0.25, 4.0
+"""Close to focus a small blur and a texture that is itself a little soft or crisp look alike: standard error of the
+radius at focus, and the radius over which it falls to 1/e. Measured on generated textures."""
 
 
 def mode_scores(sparse: FloatArray, mirrored: Mask, pixels: float, learned: Learned) -> tuple[FloatArray, FloatArray]:
@@ -84,7 +87,9 @@ def summarise(
     density = np.exp(log_post - log_post.max())
     density /= density.sum()
     best = int(density.argmax())
-    se = float(np.hypot(learned.floor_px, np.interp(sigma[best], model.sigma_px, model.sigma_se_px)))
+    soft = _SOFTNESS_PX * float(np.exp(-abs(sigma[best]) / _SOFTNESS_RANGE_PX))
+    lens = float(np.interp(sigma[best], model.sigma_px, model.sigma_se_px))
+    se = float(np.sqrt(learned.floor_px**2 + soft**2 + lens**2))
     reach = int(np.ceil(4 * se / step))
     blur = np.exp(-0.5 * (np.arange(-reach, reach + 1) * step / se) ** 2)
     density = np.convolve(density, blur / blur.sum(), mode="same")
