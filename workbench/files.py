@@ -25,21 +25,34 @@ def sync_directory(directory: Path) -> None:
 
 
 @contextmanager
+def made_directory(directory: Path) -> Iterator[None]:
+    """Make a directory and its parents; when the block fails, remove those that it made, with all in them."""
+    missing = next((path for path in (*reversed(directory.parents), directory) if not path.exists()), None)
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+        yield
+    except BaseException:
+        if missing is not None:
+            shutil.rmtree(missing, ignore_errors=True)
+        raise
+
+
+@contextmanager
 def replacing(path: Path) -> Iterator[Path]:
     """Give a temporary path beside ``path``; rename it into place when the block ends well, remove it otherwise."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    descriptor, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.stem}.", suffix=path.suffix)
-    os.close(descriptor)
-    temporary = Path(name)
-    try:
-        yield temporary
-        with temporary.open("rb") as handle:
-            os.fsync(handle.fileno())
-        temporary.chmod(0o644)
-        temporary.replace(path)
-        sync_directory(path.parent)
-    finally:
-        temporary.unlink(missing_ok=True)
+    with made_directory(path.parent):
+        descriptor, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.stem}.", suffix=path.suffix)
+        os.close(descriptor)
+        temporary = Path(name)
+        try:
+            yield temporary
+            with temporary.open("rb") as handle:
+                os.fsync(handle.fileno())
+            temporary.chmod(0o644)
+            temporary.replace(path)
+            sync_directory(path.parent)
+        finally:
+            temporary.unlink(missing_ok=True)
 
 
 def write_bytes(path: Path, data: bytes) -> None:
@@ -78,24 +91,18 @@ def staged_files(directory: Path) -> Iterator[Path]:
     Files are made elsewhere and renamed one by one, so that none is ever half written; other files in
     ``directory`` stay. When the block fails nothing is left behind.
     """
-    existed = directory.exists()
-    directory.mkdir(parents=True, exist_ok=True)
-    temporary = Path(tempfile.mkdtemp(dir=directory, prefix=".making."))
-    try:
-        yield temporary
-        for path in sorted(temporary.iterdir()):
-            with path.open("rb") as handle:
-                os.fsync(handle.fileno())
-        for path in sorted(temporary.iterdir()):
-            path.replace(directory / path.name)
-        sync_directory(directory)
-    except BaseException:
-        shutil.rmtree(temporary, ignore_errors=True)
-        if not existed:
-            shutil.rmtree(directory, ignore_errors=True)
-        raise
-    finally:
-        shutil.rmtree(temporary, ignore_errors=True)
+    with made_directory(directory):
+        temporary = Path(tempfile.mkdtemp(dir=directory, prefix=".making."))
+        try:
+            yield temporary
+            for path in sorted(temporary.iterdir()):
+                with path.open("rb") as handle:
+                    os.fsync(handle.fileno())
+            for path in sorted(temporary.iterdir()):
+                path.replace(directory / path.name)
+            sync_directory(directory)
+        finally:
+            shutil.rmtree(temporary, ignore_errors=True)
 
 
 def sha256_file(path: Path) -> str:

@@ -38,11 +38,11 @@ class SimulatedCamera:
         self._open = True
 
     def identify(self) -> DeviceIdentity:
-        """Make, model, and a serial number that follows from the seed."""
-        lens = self._world.lens
+        """Make, model, size of the sensor, and a serial number that follows from the seed."""
+        lens, sensor = self._world.lens, self._world.sensor
         return DeviceIdentity(
-            kind="simulated", make=self._world.make, model=self._world.model, serial=self._world.serial,
-            firmware="1", extra={"lens": f"simulated {lens.focal_length_mm:g} mm"},
+            kind="simulated", make=self._world.make, model=self._world.model, serial=self._world.serial, firmware="1",
+            extra={"lens": f"simulated {lens.focal_length_mm:g} mm", "sensor": f"{sensor.width}x{sensor.height}"},
         )  # fmt: skip
 
     def exposure_times_s(self) -> tuple[float, ...]:

@@ -6,10 +6,11 @@ import errno
 import functools
 import json
 import logging
+import os
 import sys
 import traceback
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
@@ -29,6 +30,11 @@ from workbench.units import length_mm, seconds_text
 
 EXIT_INTERNAL, EXIT_INPUT, EXIT_CHECK, EXIT_DEVICE, EXIT_INTERRUPTED = 1, 2, 3, 4, 130
 Command = TypeVar("Command", bound=Callable[..., Any])
+
+
+class _Console(Console):
+    def on_broken_pipe(self) -> None:
+        raise BrokenPipeError  # instead of ending the process here
 
 
 @dataclass(slots=True)
@@ -59,7 +65,7 @@ class Context:
     @property
     def console(self) -> Console:
         """Where people read: stdout, or stderr when stdout belongs to a machine."""
-        console = Console(stderr=self.json, soft_wrap=True, highlight=False)
+        console = _Console(stderr=self.json, soft_wrap=True, highlight=False)
         if not console.is_terminal:
             console.width = 160  # a file or pipe has no edge: tables keep their words whole
         return console
@@ -171,17 +177,40 @@ def run(group: click.Group, argv: Sequence[str] | None = None) -> int:
     except CheckFailedError as error:
         return _fail(str(error), EXIT_CHECK)
     except RigError as error:
-        return _fail(str(error), EXIT_DEVICE)
+        full = getattr(error.__cause__, "errno", None) in (errno.ENOSPC, errno.EDQUOT)
+        return _fail(str(error), EXIT_INPUT if full else EXIT_DEVICE)
     except BrokenPipeError:
-        return 0
+        return _reader_has_gone()
     except OSError as error:
-        if error.errno in (errno.ENOSPC, errno.EDQUOT):
-            return _fail(f"{error.filename or 'disk'}: the disk is full; free some space and run again", EXIT_INPUT)
-        if error.errno in (errno.EACCES, errno.EROFS, errno.EPERM, errno.ENOENT, errno.ENOTDIR, errno.EISDIR):
-            return _fail(f"{error.filename}: {(error.strerror or 'not accessible').lower()}", EXIT_INPUT)
-        return _internal(error)
+        advice = _ADVICE.get(error.errno or 0)
+        if advice is None:
+            return _internal(error)
+        where = error.filename2 or error.filename or "disk"
+        return _fail(f"{where}: {(error.strerror or 'not accessible').lower()}; {advice}", EXIT_INPUT)
     except Exception as error:
         return _internal(error)
+
+
+_ADVICE = {
+    errno.ENOSPC: "free some space and run again",
+    errno.EDQUOT: "free some space and run again",
+    errno.EACCES: "change its permissions or name another place",
+    errno.EPERM: "change its permissions or name another place",
+    errno.EROFS: "name another place",
+    errno.ENOENT: "check the path",
+    errno.ENOTDIR: "a file stands where a directory is needed: name another place",
+    errno.EEXIST: "a file stands where a directory is needed: name another place",
+    errno.EISDIR: "name a file",
+    errno.ENAMETOOLONG: "check the path",
+}
+"""Trouble of the file system that the operator can mend."""
+
+
+def _reader_has_gone() -> int:
+    """What `head` does to a pipe is no error; Python must not complain when it closes stdout at its end."""
+    with suppress(OSError, ValueError):
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    return 0
 
 
 def _fail(message: str, code: int) -> int:
