@@ -15,9 +15,10 @@ from numpy.typing import NDArray
 from calibration.bank import Bank, check_fits
 from calibration.image import LinearImage
 from calibration.raw import develop
+from workbench.banks import open_bank
 from workbench.depth.allfocus import all_focus, depth_map
 from workbench.depth.depth_regions import regions_of_one_depth
-from workbench.depth.methods import DEFAULT_METHOD, estimate_depths, option_values
+from workbench.depth.methods import DEFAULT_METHOD, estimate_depths, needs_second_view, option_values
 from workbench.depth.regions import SrmOptions, from_roi, srm, whole
 from workbench.display import to_srgb8
 from workbench.errors import InputError
@@ -32,8 +33,8 @@ class MeasureOptions:
     """What the operator chose for a measurement."""
 
     method: str = DEFAULT_METHOD
-    method_options: tuple[tuple[str, str], ...] = ()
-    """``--set name=value`` pairs of the method."""
+    method_options: tuple[tuple[str, Any], ...] = ()
+    """``--set name=value`` pairs of the method; see :func:`open_second_view` for those that aren't texts."""
     roi: tuple[int, int, int, int] | None = None
     """x, y, width, height in pixels of the developed image."""
     labels: Path | None = None
@@ -69,6 +70,38 @@ def read_labels(path: Path, shape: tuple[int, int]) -> NDArray[np.int32]:
 SUPERPIXEL_Q = 32.0
 """For regions of one depth, colour regions are made finer by this factor of Q: they only give the outlines."""
 SUPERPIXEL_FRACTION = 3e-4
+
+
+def open_second_view(
+    project: Project, method: str, settings: tuple[tuple[str, str], ...]
+) -> tuple[tuple[str, Any], ...]:
+    """Open the second photograph and bank of methods that need them, where ``--set`` names a file and a bank.
+
+    Returns
+    -------
+    tuple
+        The settings, with ``second_image`` and ``second_bank`` opened; those of other methods as they are.
+
+    Raises
+    ------
+    CalibrationError
+        The file can't be used, the bank is unknown, or they don't belong together.
+    InputError
+        One of them is missing.
+    """
+    if not needs_second_view(method):
+        return settings
+    chosen: dict[str, Any] = dict(settings)
+    missing = [name for name in ("second_image", "second_bank") if name not in chosen]
+    if missing:
+        raise InputError(
+            f"--method {method}: needs a second photograph through another aperture and its bank; "
+            f"give --set {missing[0]}={'FILE' if missing[0] == 'second_image' else 'REF'}"
+        )
+    bank, _ = open_bank(project, chosen["second_bank"])
+    image = develop(Path(chosen["second_image"]), recipe="native" if bank.recipe == "native" else "superpixel")
+    check_fits(bank, image)
+    return tuple((chosen | {"second_bank": bank, "second_image": image}).items())
 
 
 def find_regions(image: LinearImage, bank: Bank, options: MeasureOptions) -> NDArray[np.int32]:
@@ -133,7 +166,7 @@ def measure(path: Path, bank: Bank, bank_ref: str, options: MeasureOptions) -> M
 
 
 def _options_json(options: MeasureOptions) -> dict[str, Any]:
-    values = asdict(options)
+    values = asdict(replace(options, method_options=()))
     values["labels"] = str(options.labels) if options.labels else None
     values["method_options"] = option_values(options.method, dict(options.method_options))
     return values

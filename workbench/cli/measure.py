@@ -12,7 +12,7 @@ from calibration.bank import Bank
 from workbench.banks import open_bank
 from workbench.cli.common import Context, command_options
 from workbench.depth.methods import DEFAULT_METHOD, make_options
-from workbench.measure import MeasureOptions, save
+from workbench.measure import MeasureOptions, open_second_view, save
 from workbench.measure import measure as measure_one
 from workbench.measurement import Measurement
 from workbench.project import Project
@@ -105,9 +105,10 @@ def _prepare(
 ) -> tuple[Project, Bank, str, MeasureOptions]:  # fmt: skip
     """Check everything that can be checked before a file is read or a camera is opened."""
     project = context.project()
-    make_options(method, dict(settings))
+    opened = open_second_view(project, method, settings)
+    make_options(method, dict(opened))
     labels = context.existing(labels, "label image") if labels else None
-    options = MeasureOptions(method, settings, roi, labels, whole, segment, srm_q)
+    options = MeasureOptions(method, opened, roi, labels, whole, segment, srm_q)
     bank, _ = open_bank(project, bank_ref)
     return project, bank, bank_ref, options
 

@@ -18,6 +18,13 @@ from calibration.errors import CalibrationError
 from calibration.image import LinearImage
 from workbench.depth.estimate import DepthEstimate
 from workbench.depth.evidence import EvidenceOptions, estimate_evidence
+from workbench.depth.references.bae_durand import BaeDurandOptions, estimate_bae_durand
+from workbench.depth.references.elder_zucker import ElderZuckerOptions, estimate_elder_zucker
+from workbench.depth.references.levin import LevinOptions, estimate_levin
+from workbench.depth.references.pair import PairOptions, estimate_pair
+from workbench.depth.references.pentland import PentlandOptions, estimate_pentland
+from workbench.depth.references.second_view import SecondViewOptions
+from workbench.depth.references.zhuo_sim import ZhuoSimOptions, estimate_zhuo_sim
 from workbench.depth.sharpness import SharpnessOptions, estimate_sharpness
 
 Estimator = Callable[[LinearImage, Bank, NDArray[np.int32], Any], dict[int, DepthEstimate]]
@@ -50,6 +57,12 @@ METHODS: dict[str, Method] = {
     for method in (
         Method("evidence", "this project, docs/explanation/evidence.md", estimate_evidence, EvidenceOptions),
         Method("sharpness", "Kim 2021, sharpness assessment", estimate_sharpness, SharpnessOptions),
+        Method("levin", "Levin, Fergus, Durand and Freeman 2007", estimate_levin, LevinOptions),
+        Method("pair", "Zhou, Lin and Nayar 2009", estimate_pair, PairOptions),
+        Method("zhuo-sim", "Zhuo and Sim 2011", estimate_zhuo_sim, ZhuoSimOptions),
+        Method("bae-durand", "Bae and Durand 2007", estimate_bae_durand, BaeDurandOptions),
+        Method("elder-zucker", "Elder and Zucker 1998", estimate_elder_zucker, ElderZuckerOptions),
+        Method("pentland", "Pentland 1987, two settings", estimate_pentland, PentlandOptions),
     )
 }
 DEFAULT_METHOD = "evidence"
@@ -59,8 +72,14 @@ class MethodError(CalibrationError):
     """Unknown method, unknown option of a method, or a value that isn't one."""
 
 
-def make_options(method: str, settings: Mapping[str, str]) -> tuple[Method, Any]:
-    """Find a method and build its options from texts.
+def needs_second_view(method: str) -> bool:
+    """Whether a method measures two photographs at once (options ``second_image`` and ``second_bank``)."""
+    found = METHODS.get(method)
+    return found is not None and issubclass(found.options, SecondViewOptions)
+
+
+def make_options(method: str, settings: Mapping[str, Any]) -> tuple[Method, Any]:
+    """Find a method and build its options from texts; photographs and banks are given as such.
 
     Raises
     ------
@@ -72,12 +91,12 @@ def make_options(method: str, settings: Mapping[str, str]) -> tuple[Method, Any]
         raise MethodError(f"--method {method}: unknown; known are {', '.join(METHODS)}")
     hints = typing.get_type_hints(found.options)
     values: dict[str, Any] = {}
-    for name, text in settings.items():
+    for name, value in settings.items():
         if name not in hints:
             near = difflib.get_close_matches(name, hints, n=1, cutoff=0.4)
             hint = f"did you mean {near[0]!r}?" if near else f"known are {', '.join(hints)}"
             raise MethodError(f"--set {name}: method {method} has no such option; {hint}")
-        values[name] = _convert(name, text, hints[name])
+        values[name] = _convert(name, value, hints[name]) if isinstance(value, str) else value
     try:
         return found, found.options(**values)
     except ValueError as error:
@@ -96,6 +115,8 @@ def _convert(name: str, text: str, kind: Any) -> Any:
         return text
     if typing.get_origin(kind) is tuple:
         return tuple(_convert(name, part.strip(), typing.get_args(kind)[0]) for part in text.split(","))
+    if kind in (LinearImage, Bank):
+        raise MethodError(f"--set {name}={text}: give the {'photograph' if kind is LinearImage else 'bank'} itself")
     if dataclasses.is_dataclass(kind):
         raise MethodError(f"--set {name}: is made of several numbers and can't be set from the command line")
     if kind is bool:
@@ -109,7 +130,7 @@ def _convert(name: str, text: str, kind: Any) -> Any:
 
 
 def estimate_depths(
-    image: LinearImage, bank: Bank, labels: NDArray[np.int32], method: str, settings: Mapping[str, str]
+    image: LinearImage, bank: Bank, labels: NDArray[np.int32], method: str, settings: Mapping[str, Any]
 ) -> dict[int, DepthEstimate]:
     """Depth of every labelled region.
 
@@ -122,7 +143,7 @@ def estimate_depths(
     labels
         int32 (H, W), 0 = no region.
     method, settings
-        Name of the estimator and its options as texts.
+        Name of the estimator and its options as texts; photographs and banks among them as such.
 
     Raises
     ------
@@ -133,6 +154,15 @@ def estimate_depths(
     return found.estimate(image, bank, labels, options)
 
 
-def option_values(method: str, settings: Mapping[str, str]) -> dict[str, Any]:
-    """Every constant that a measurement will use, for its provenance."""
-    return dataclasses.asdict(make_options(method, settings)[1])
+def option_values(method: str, settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Every constant that a measurement will use, for its provenance; photographs and banks by hash and id."""
+    options = make_options(method, settings)[1]
+    return {field.name: _provenance(getattr(options, field.name)) for field in dataclasses.fields(options)}
+
+
+def _provenance(value: Any) -> Any:
+    if isinstance(value, LinearImage):
+        return {"path": value.info.path, "sha256": value.info.sha256}
+    if isinstance(value, Bank):
+        return value.id
+    return dataclasses.asdict(value) if dataclasses.is_dataclass(value) and not isinstance(value, type) else value
