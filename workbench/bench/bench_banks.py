@@ -7,17 +7,20 @@ import shutil
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import calibration
 from calibration.bank import Bank
 from calibration.frames import find_frames
 from calibration.raw import develop
+from rigs.simulated.lens import SEVEN, PolygonPupil
+from rigs.simulated.rig import make_rig
 from rigs.simulated.world import SimulatedRigSettings
 from workbench import calibrate
 from workbench.banks import open_bank
 from workbench.config import RigConfig
-from workbench.devices import open_rig, simulated_world
+from workbench.devices import simulated_world
 from workbench.errors import InputError
 from workbench.files import sha256_file, sha256_json
 from workbench.planning import make_plan
@@ -26,6 +29,12 @@ from workbench.project import Project, create_project
 from workbench.session import SessionRunner, create_session
 
 _PATIENCE_S = 300.0
+SECOND_PUPILS = {
+    "pair": PolygonPupil((((-5.0, 5.0), (-2.0, 5.0), (-2.0, -2.0), (5.0, -2.0), (5.0, -5.0), (-5.0, -5.0)),)),
+    "pentland": PolygonPupil(tuple(tuple((0.6 * x, 0.6 * y) for x, y in loop) for loop in SEVEN.loops_mm)),
+}
+"""Second apertures of the methods that need one: a letter L, whose zeros differ from the seven's; the seven itself
+stopped down to 60 %."""
 
 
 def default_work() -> Path:
@@ -46,7 +55,9 @@ def rig_settings(config: RigConfig) -> SimulatedRigSettings:
     return simulated_world(config).settings
 
 
-def simulated_bank(work: Path, *, seed: int, step_mm: float, observer: Observer) -> tuple[Bank, RigConfig]:
+def simulated_bank(
+    work: Path, *, seed: int, step_mm: float, observer: Observer, pupil: PolygonPupil = SEVEN
+) -> tuple[Bank, RigConfig]:
     """Calibrate the simulated rig as an operator would, or open the bank that an earlier run made so.
 
     Plan, session, metering, RAW files and bank are those of ``workbench calibrate``. The frames are thrown away, the
@@ -63,13 +74,21 @@ def simulated_bank(work: Path, *, seed: int, step_mm: float, observer: Observer)
         Between the bank's planes.
     observer
         Progress.
+    pupil
+        Aperture of the rig's lens.
     """
-    project = _scratch(work / f"bank-{_key([seed, step_mm])}", seed)
+    project = _scratch(work / f"bank-{_key([seed, step_mm, pupil.loops_mm])}", seed)
     config = project.config()
     with _alone(project):
         if not _has_bank(project):
-            _calibrate(project, config, step_mm, observer)
-    return open_bank(project, "active")[0], config
+            _calibrate(project, config, step_mm, observer, pupil)
+    return _for_crops(open_bank(project, "active")[0]), config
+
+
+def _for_crops(bank: Bank) -> Bank:
+    """The bank without its sensor's size: the cases' frames are parts of that sensor, and would be refused."""
+    camera = {**bank.manifest["camera"], "sensor_size": None}
+    return replace(bank, manifest={**bank.manifest, "camera": camera})
 
 
 def raws_bank(work: Path, directory: Path) -> Bank:
@@ -126,7 +145,7 @@ def _has_bank(project: Project) -> bool:
     return (project.banks / "registry.jsonl").exists()
 
 
-def _calibrate(project: Project, config: RigConfig, step_mm: float, observer: Observer) -> None:
+def _calibrate(project: Project, config: RigConfig, step_mm: float, observer: Observer, pupil: PolygonPupil) -> None:
     shutil.rmtree(project.sessions, ignore_errors=True)  # of a run that was interrupted
     directory = project.sessions / project.new_session_id()
     plan = make_plan(config, step_mm=step_mm)
@@ -135,7 +154,7 @@ def _calibrate(project: Project, config: RigConfig, step_mm: float, observer: Ob
     def check(path: Path) -> None:
         develop(path, recipe=config.camera.recipe)
 
-    with open_rig(config, tell=lambda _: None) as rig:
+    with make_rig(replace(rig_settings(config), pupil=pupil)).rig() as rig:
         state = SessionRunner(directory, plan, rig, observer=observer, check=check).run()
     calibrate.calibrate_session(project, directory, plan, state, config)
     shutil.rmtree(project.sessions)
