@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from calibration.bank import Bank, LensFit
 from calibration.image import FrameInfo, LinearImage
+from rigs.simulated.lens import SEVEN as LENS_SEVEN
 from rigs.simulated.lens import Lens, MaskPupil, PolygonPupil, Pupil, point_image
 from rigs.simulated.scene import Scene, SceneObject, scene_light
 from rigs.simulated.scenes import plane_scene, rectangle
@@ -37,8 +38,19 @@ def round_pupil(radius_mm: float, centre_mm: tuple[float, float] = (0.0, 0.0)) -
     )
 
 
-ELL = PolygonPupil((((-5.0, 5.0), (-2.0, 5.0), (-2.0, -2.0), (5.0, -2.0), (5.0, -5.0), (-5.0, -5.0)),))
-"""The letter L: a second mask beside the seven."""
+def within(pupil: PolygonPupil, radius_mm: float = 7.5) -> PolygonPupil:
+    """The same opening with a speck of no area at a radius.
+
+    A scene's texture is drawn as large as the pupil's blur reaches, and another size is another drawing: pupils of one
+    radius see the same scene.
+    """
+    speck = ((radius_mm, 0.0), (radius_mm, 1e-5), (radius_mm - 1e-5, 0.0))
+    return PolygonPupil((*pupil.loops_mm, speck))
+
+
+_ELL = PolygonPupil((((-5.0, 5.0), (-2.0, 5.0), (-2.0, -2.0), (5.0, -2.0), (5.0, -5.0), (-5.0, -5.0)),))
+SEVEN, ELL, SMALL = within(LENS_SEVEN), within(_ELL), within(round_pupil(1.0))
+"""The seven, a second mask beside it, and a small round aperture; all three see the same scene."""
 
 
 def lens_through(pupil: Pupil) -> Lens:

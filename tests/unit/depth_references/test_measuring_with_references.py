@@ -5,10 +5,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from simulated_views import ELL, bank_through, photograph, textured
+from simulated_views import ELL, SEVEN, bank_through, photograph, textured
 
 from calibration.errors import CalibrationError
-from rigs.simulated.lens import SEVEN
 from workbench.banks import store_bank
 from workbench.errors import InputError
 from workbench.measure import MeasureOptions, measure, open_second_view, save

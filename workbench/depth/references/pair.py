@@ -40,7 +40,8 @@ class PairOptions(SecondViewOptions):
         Standard deviation of noise, fraction of white. Given in the paper; None: estimated from the photographs.
     texture_power
         Power of the sharp picture at one cycle a pixel, ``A(f) = texture_power / f**2`` in squared fractions of white.
-        The paper takes it from pictures of its own; None: from the first photograph's lowest frequencies.
+        The paper takes it from pictures of its own; None: what spreads the first photograph's
+        contrast as 1 / f**2.
     ambiguity
         Ours: a second minimum within this fraction of the best makes a region ambiguous.
     """
@@ -118,7 +119,7 @@ def _cost(
         pictures.append(picture)
         seen.append(fft.rfft2(_periodic(picture, size)))
     frequency = np.hypot(fft.fftfreq(size[0])[:, np.newaxis], fft.rfftfreq(size[1])[np.newaxis]).astype(np.float32)
-    power = options.texture_power or _texture_power(seen[0], frequency, reach)
+    power = options.texture_power or _texture_power(seen[0], frequency)
     ratio = (noise**2 / power) * frequency**2
     cost = np.zeros(len(kernels[0]))
     for depth in range(cost.size):
@@ -152,8 +153,8 @@ def _periodic(picture: FloatImage, size: tuple[int, int]) -> FloatImage:
     return np.asarray(picture, np.float32)
 
 
-def _texture_power(spectrum: Spectrum, frequency: NDArray[np.float32], reach: int) -> float:
-    """Power times f**2, averaged where no blur of the bank has taken much: below half a cycle a PSF."""
-    pixels = float(frequency.shape[0] * (2 * (frequency.shape[1] - 1)))
-    low = (frequency > 0) & (frequency < max(0.25 / max(reach, 1), 2.5 / frequency.shape[0]))
-    return float((np.abs(spectrum[low]) ** 2 * frequency[low] ** 2).mean()) / pixels
+def _texture_power(spectrum: Spectrum, frequency: NDArray[np.float32]) -> float:
+    """A of ``A / f**2`` by which the picture's power is that of all its frequencies but zero."""
+    pixels = frequency.shape[0] * (2 * (frequency.shape[1] - 1))
+    varying = frequency > 0
+    return float((np.abs(spectrum[varying]) ** 2).sum() / (1.0 / frequency[varying] ** 2).sum()) / pixels
