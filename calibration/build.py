@@ -187,6 +187,16 @@ def _same_camera(infos: list[tuple[float, FrameInfo]], pitch: float | None, imag
             f"{this.path}: taken with {this.model or 'an unnamed camera'} {this.cfa}, but {first.path} with "
             f"{first.model or 'an unnamed camera'} {first.cfa}; keep frames of one camera"
         )
+    for what, unit, theirs, ours, tolerance in (
+        ("pixel pitch", " mm", this.pixel_pitch_mm, first.pixel_pitch_mm, 0.01),
+        ("focal length", " mm", this.focal_length_mm, first.focal_length_mm, 0.01),
+        ("f-number", "", this.f_number, first.f_number, 0.05),
+    ):
+        if theirs and ours and abs(theirs / ours - 1.0) > tolerance:
+            raise FrameError(
+                f"{this.path}: {what} is {theirs:g}{unit}, but {ours:g}{unit} in {first.path}; "
+                "keep frames of one camera and one setting of the lens"
+            )
     return pitch or image.pixel_pitch_mm
 
 

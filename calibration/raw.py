@@ -90,12 +90,18 @@ def subtract_dark(image: LinearImage, dark: LinearImage) -> LinearImage:
     Raises
     ------
     FrameError
-        The dark frame was developed by another recipe or has another number of channels.
+        The dark frame is another camera's, was developed by another recipe or has another number of channels.
     """
     if dark.recipe != image.recipe or dark.planes.shape[2] != image.planes.shape[2]:
         raise FrameError(
             f"{dark.info.path}: developed as {dark.recipe} with {dark.planes.shape[2]} channels, "
             f"but {image.info.path} as {image.recipe} with {image.planes.shape[2]}; take both by the same recipe"
+        )
+    if dark.info.cfa and image.info.cfa and (dark.info.model, dark.info.cfa) != (image.info.model, image.info.cfa):
+        raise FrameError(
+            f"{dark.info.path}: taken with {dark.info.model or 'an unnamed camera'} {dark.info.cfa}, but "
+            f"{image.info.path} with {image.info.model or 'an unnamed camera'} {image.info.cfa}; "
+            "take both with one camera"
         )
     if dark.planes.shape == image.planes.shape:
         planes, how = image.planes - dark.planes, "pixelwise"

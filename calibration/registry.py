@@ -11,6 +11,7 @@ import json
 import os
 import re
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -100,13 +101,33 @@ def read_registry(banks_dir: str | Path) -> Registry:
     return Registry(path, tuple(sorted(entries.values(), key=lambda e: e.version)))
 
 
-def register(banks_dir: str | Path, bank_id: str) -> Entry:
-    """Give a bank the next version; one that is registered already keeps its own."""
+def next_version(banks_dir: str | Path, bank_id: str) -> int:
+    """Version that a bank has, or will have once it is registered."""
+    entries = read_registry(banks_dir).entries
+    known = next((e.version for e in entries if e.id == bank_id), None)
+    return known or 1 + max((e.version for e in entries), default=0)
+
+
+def register(banks_dir: str | Path, bank_id: str, *, active: bool = False) -> Entry:
+    """Give a bank the next version; one that is registered already keeps its own.
+
+    With ``active`` it becomes the active one in the same write: both or neither.
+
+    Raises
+    ------
+    BankError
+        Can't be written; or ``active`` and the bank is a revoked one.
+    """
     registry = read_registry(banks_dir)
     known = next((e for e in registry.entries if e.id == bank_id), None)
+    records: list[dict[str, Any]] = []
     if known is None:
-        version = 1 + max((e.version for e in registry.entries), default=0)
-        _append(registry.path, {"act": "register", "id": bank_id, "version": version})
+        records.append({"act": "register", "id": bank_id, "version": next_version(banks_dir, bank_id)})
+    if active:
+        _refuse_revoked(known)
+        records.append({"act": "activate", "id": bank_id})
+    if records:
+        _append(registry.path, *records)
     return read_registry(banks_dir).resolve(bank_id)
 
 
@@ -140,11 +161,16 @@ def revoke(banks_dir: str | Path, reference: str, reason: str) -> Entry:
 def _act(banks_dir: str | Path, reference: str, act: Act, more: Mapping[str, Any], *, allow_revoked: bool) -> Entry:
     registry = read_registry(banks_dir)
     entry = registry.resolve(reference)
-    if entry.revoked and not allow_revoked:
-        why = f" ({entry.revoked_reason})" if entry.revoked_reason else ""
-        raise BankError(f"bank v{entry.version} {entry.id} is revoked{why}; choose another")
+    if not allow_revoked:
+        _refuse_revoked(entry)
     _append(registry.path, {"act": act, "id": entry.id, **more})
     return read_registry(banks_dir).resolve(entry.id)
+
+
+def _refuse_revoked(entry: Entry | None) -> None:
+    if entry is not None and entry.revoked:
+        why = f" ({entry.revoked_reason})" if entry.revoked_reason else ""
+        raise BankError(f"bank v{entry.version} {entry.id} is revoked{why}; choose another")
 
 
 def _apply(entries: dict[str, Entry], record: Mapping[str, Any]) -> None:
@@ -192,19 +218,26 @@ def _records(path: Path) -> list[Mapping[str, Any]]:
 _TORN = b" (torn)"
 
 
-def _append(path: Path, record: Mapping[str, Any]) -> None:
-    line = json.dumps({**record, "at": datetime.now(UTC).isoformat(timespec="seconds")}, sort_keys=True) + "\n"
+def _append(path: Path, *records: Mapping[str, Any]) -> None:
+    now = datetime.now(UTC).isoformat(timespec="seconds")
+    text = "".join(json.dumps({**record, "at": now}, sort_keys=True) + "\n" for record in records)
+    size = path.stat().st_size if path.exists() else None
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with path.open("ab+") as stream:
             if stream.tell() > 0:
                 stream.seek(-1, os.SEEK_END)
                 if stream.read(1) != b"\n":
-                    line = _TORN.decode() + "\n" + line  # mark the torn line as such, so that it stays ignored
-            stream.write(line.encode())
+                    text = _TORN.decode() + "\n" + text  # mark the torn line as such, so that it stays ignored
+            stream.write(text.encode())
             stream.flush()
             os.fsync(stream.fileno())
     except OSError as error:
+        with suppress(OSError):  # a full disk must not leave half a record
+            if size is None:
+                path.unlink(missing_ok=True)
+            else:
+                os.truncate(path, size)
         raise BankError(
             f"{path}: can't be written ({error.strerror or error}); free some space and try again"
         ) from error

@@ -2,19 +2,48 @@
 
 from __future__ import annotations
 
+import shutil
+from dataclasses import dataclass
 from pathlib import Path
 
 from calibration.bank import Bank, load_bank, save_bank
 from calibration.errors import BankError
-from calibration.registry import Entry, activate, read_registry, register
+from calibration.registry import Entry, next_version, read_registry, register
+from workbench.files import made_directory
 from workbench.project import Project
 
 
-def store_bank(project: Project, bank: Bank) -> tuple[Entry, Path]:
-    """Write a bank, give it a version and make it the active one; an identical bank keeps its version."""
-    directory = save_bank(bank, project.banks)
-    register(project.banks, directory.name)
-    return activate(project.banks, directory.name), directory
+@dataclass(frozen=True, slots=True)
+class StoredBank:
+    """Where a bank lies, and what it is called."""
+
+    entry: Entry
+    directory: Path
+    report: Path
+
+
+def store_bank(project: Project, bank: Bank) -> StoredBank:
+    """Write a bank and its report, give it a version and make it the active one; an identical bank keeps its version.
+
+    Raises
+    ------
+    BankError, OSError
+        It can't be written, or is one that was revoked; nothing is left behind.
+    """
+    from workbench.report import write_bank_report  # drawing is slow to import, and listing banks needs none
+
+    with made_directory(project.banks):
+        is_new = not (project.banks / bank.id).exists()
+        directory = save_bank(bank, project.banks)
+        try:
+            report = directory / "report.html"
+            write_bank_report(bank, report, version=f"v{next_version(project.banks, bank.id)}")
+            entry = register(project.banks, bank.id, active=True)
+        except BaseException:
+            if is_new:
+                shutil.rmtree(directory, ignore_errors=True)
+            raise
+    return StoredBank(entry, directory, report)
 
 
 def resolve(project: Project, reference: str) -> Entry:

@@ -9,14 +9,17 @@ from typing import Any
 
 from calibration.bank import Bank
 from calibration.build import BuildOptions, BuiltBank, PointFrame, build_bank
+from calibration.errors import DepthListError, FitError
+from calibration.exif import photosite_pitch_mm, read_tags
 from calibration.frames import find_frames
+from calibration.lens_fit import MIN_DEPTHS_FOR_ZERO
+from calibration.linear_files import is_linear_file
 from calibration.registry import Entry
 from workbench.banks import store_bank
 from workbench.config import RigConfig
 from workbench.journal import SessionState
 from workbench.plan import Plan
 from workbench.project import Project
-from workbench.report import write_bank_report
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,7 +29,6 @@ class CalibrationResult:
     bank: Bank
     built: BuiltBank
     entry: Entry
-    directory: Path
     report: Path
 
 
@@ -41,13 +43,34 @@ def calibrate_frames(project: Project, directory: Path, config: RigConfig, *, ap
         The files, the depths or the points in them can't be used.
     """
     listed = find_frames(directory)
+    if apply_zero and len(listed.points) < MIN_DEPTHS_FOR_ZERO:
+        raise DepthListError(
+            f"{directory}: --apply-zero needs {MIN_DEPTHS_FOR_ZERO} depths to find the zero, there are "
+            f"{len(listed.points)}; leave it out or add depths"
+        )
     frames = [PointFrame(depth_mm, tuple(paths)) for depth_mm, paths in listed.points]
     options = BuildOptions(
         recipe=config.camera.recipe,
-        pixel_pitch_mm=config.camera.pixel_pitch_mm,
+        pixel_pitch_mm=_unstated_pitch_mm(frames[0], config),
         apply_zero=apply_zero,
     )
-    return _finish(project, build_bank(frames, listed.darks, options))
+    try:
+        built = build_bank(frames, listed.darks, options)
+    except FitError as error:
+        raise FitError(f"{directory}: {error}") from None
+    return _finish(project, built)
+
+
+def _unstated_pitch_mm(frame: PointFrame, config: RigConfig) -> float | None:
+    """Photosite pitch of rig.yaml where the file doesn't state its own: bank and scenes must take it from one source.
+
+    A linear file's pixels needn't be photosites, so rig.yaml says nothing about them.
+    """
+    path = frame.sources[0]
+    assert isinstance(path, Path)
+    if is_linear_file(path) or photosite_pitch_mm(read_tags(path)):
+        return None
+    return config.camera.pixel_pitch_mm
 
 
 def calibrate_session(
@@ -69,7 +92,7 @@ def calibrate_session(
     camera = state.identities["camera"]
     options = BuildOptions(
         recipe=config.camera.recipe,
-        pixel_pitch_mm=config.camera.pixel_pitch_mm,
+        pixel_pitch_mm=_unstated_pitch_mm(frames[0], config),
         focal_length_mm=config.optics.focal_length_mm,
         apply_zero=True,
         sensor_size=_frame_size(camera),
@@ -92,7 +115,5 @@ def _frame_size(camera: dict[str, Any]) -> tuple[int, int] | None:
 
 
 def _finish(project: Project, built: BuiltBank) -> CalibrationResult:
-    entry, directory = store_bank(project, built.bank)
-    report = directory / "report.html"
-    write_bank_report(built.bank, report, version=f"v{entry.version}")
-    return CalibrationResult(built.bank, built, entry, directory, report)
+    stored = store_bank(project, built.bank)
+    return CalibrationResult(built.bank, built, stored.entry, stored.report)

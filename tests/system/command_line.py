@@ -72,9 +72,7 @@ def arguments(*argv: object) -> list[str]:
     return [sys.executable, "-c", ENTRY, *(str(part) for part in argv)]
 
 
-def spawn(
-    *argv: object, cwd: Path | None = None, env: dict[str, str] | None = None, input_text: str = ""
-) -> Outcome:
+def spawn(*argv: object, cwd: Path | None = None, env: dict[str, str] | None = None, input_text: str = "") -> Outcome:
     """Run a command as a process of its own."""
     finished = subprocess.run(
         arguments(*argv), cwd=cwd, env=os.environ | (env or {}), capture_output=True, text=True, timeout=200,

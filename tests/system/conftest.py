@@ -76,4 +76,3 @@ def shared() -> Path:
     if not path.is_dir():
         pytest.skip(f"{path} is not here")
     return path
-

@@ -22,7 +22,6 @@ from workbench.banks import open_bank, resolve, store_bank
 from workbench.cli.common import LENGTH, Context, command_options
 from workbench.errors import CheckFailedError, InputError
 from workbench.files import replacing
-from workbench.report import write_bank_report
 from workbench.units import cm, length_mm
 
 
@@ -88,7 +87,7 @@ def _rms(values: Any) -> float:
 
 @click.group()
 @command_options
-def bank(context: Context) -> None:  # noqa: ARG001
+def bank(context: Context) -> None:
     """Banks of point-spread functions: list, compare, choose, exchange."""
 
 
@@ -245,7 +244,7 @@ def import_(context: Context, path: Path, depths: str | None, recipe: str, pixel
         context.existing(path, "stack of PSFs"), parse_depths(depths) if depths else None,
         recipe=recipe, pixel_pitch_mm=pixel_pitch,
     )  # fmt: skip
-    entry, _ = store_bank(project, made)
+    entry = store_bank(project, made).entry
     context.table(("", ""), bank_rows(made, entry), title=f"Bank v{entry.version} {made.id}")
     context.emit(bank_summary(made, entry))
 
@@ -262,8 +261,7 @@ def learn(context: Context, ref: str, seed: int) -> None:
     loaded, entry = open_bank(project, ref)
     context.note(f"bank v{entry.version}: generating textures, blurring them with its PSFs; about a minute")
     made = replace(loaded, extras={**loaded.extras, **learn_weights(loaded, seed)})
-    new, directory = store_bank(project, made)
-    write_bank_report(made, directory / "report.html", version=f"v{new.version}")
+    new = store_bank(project, made).entry
     _told(context, new)
 
 
