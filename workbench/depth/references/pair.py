@@ -157,4 +157,5 @@ def _texture_power(spectrum: Spectrum, frequency: NDArray[np.float32]) -> float:
     """A of ``A / f**2`` by which the picture's power is that of all its frequencies but zero."""
     pixels = frequency.shape[0] * (2 * (frequency.shape[1] - 1))
     varying = frequency > 0
-    return float((np.abs(spectrum[varying]) ** 2).sum() / (1.0 / frequency[varying] ** 2).sum()) / pixels
+    power = float((np.abs(spectrum[varying]) ** 2).sum())
+    return power / float((1.0 / frequency[varying] ** 2).sum()) / pixels
