@@ -158,4 +158,4 @@ def _texture_power(spectrum: Spectrum, frequency: NDArray[np.float32]) -> float:
     pixels = frequency.shape[0] * (2 * (frequency.shape[1] - 1))
     varying = frequency > 0
     power = float((np.abs(spectrum[varying]) ** 2).sum())
-    return power / float((1.0 / frequency[varying] ** 2).sum()) / pixels
+    return power / float((1.0 / frequency[varying] ** 2).sum()) / float(pixels)
