@@ -11,6 +11,7 @@ from concurrent.futures import ProcessPoolExecutor, as_completed
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -31,6 +32,14 @@ from workbench.depth.methods import estimate_depths
 from workbench.progress import Observer, Step
 
 _THREAD_LIMITS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
+
+
+@dataclass(frozen=True, slots=True)
+class View:
+    """A rig, and the bank of its aperture."""
+
+    bank: Bank
+    rig: SimulatedRigSettings
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,8 +70,9 @@ class Run:
 
 
 def run_cases(
-    cases: Sequence[Case], run: Run, bank: Bank, rig: SimulatedRigSettings, *, jobs: int, observer: Observer
-) -> list[Outcome]:
+    cases: Sequence[Case], run: Run, view: View, *, second: Mapping[str, View] | None = None, jobs: int,
+    observer: Observer,
+) -> list[Outcome]:  # fmt: skip
     """Photograph and measure every case.
 
     Frames are written as RAW files, developed, measured and thrown away. Each process works on one thread, so that
@@ -74,21 +84,21 @@ def run_cases(
         See :func:`workbench.bench.cases.make_cases`.
     run
         What to do with each.
-    bank
-        Of this rig.
-    rig
-        Truth of the rig.
+    view
+        What photographs the cases.
+    second
+        Second views, of the methods that need two.
     jobs
         Processes.
     observer
         Progress.
     """
-    bank = replace(bank, manifest=dict(bank.manifest), extras=dict(bank.extras))  # read-only views can't be sent
+    views = _sendable(view), {name: _sendable(other) for name, other in (second or {}).items()}
     results: dict[int, list[Outcome]] = {}
     started = time.monotonic()
     with _one_thread_each(), tempfile.TemporaryDirectory(prefix="workbench-bench-") as scratch:
         context = multiprocessing.get_context("spawn")  # forking a process that has threads may deadlock
-        with ProcessPoolExecutor(jobs, context, _start_worker, (bank, rig, run, Path(scratch))) as pool:
+        with ProcessPoolExecutor(jobs, context, _start_worker, (*views, run, Path(scratch))) as pool:
             futures = {pool.submit(_measure_case, index, case): index for index, case in enumerate(cases)}
             try:
                 for done, future in enumerate(as_completed(futures), start=1):
@@ -118,11 +128,16 @@ def _one_thread_each() -> Iterator[None]:
                 os.environ[name] = value
 
 
+def _sendable(view: View) -> View:
+    """Without read-only mappings, which can't be sent to a process."""
+    return View(replace(view.bank, manifest=dict(view.bank.manifest), extras=dict(view.bank.extras)), view.rig)
+
+
 @dataclass(frozen=True, slots=True)
 class _Worker:
-    bank: Bank
+    view: View
     psfs: PsfModel
-    rig: SimulatedRigSettings
+    second: Mapping[str, View]
     run: Run
     scratch: Path
 
@@ -130,25 +145,31 @@ class _Worker:
 _worker: _Worker | None = None
 
 
-def _start_worker(bank: Bank, rig: SimulatedRigSettings, run: Run, scratch: Path) -> None:
+def _start_worker(view: View, second: Mapping[str, View], run: Run, scratch: Path) -> None:
     global _worker
     cv2.setNumThreads(1)
-    _worker = _Worker(bank, psf_model(bank), rig, run, scratch)
+    _worker = _Worker(view, psf_model(view.bank), second, run, scratch)
 
 
 def _measure_case(index: int, case: Case) -> list[Outcome]:
     assert _worker is not None
-    bank, rig, run = _worker.bank, _worker.rig, _worker.run
+    run, bank = _worker.run, _worker.view.bank
     layout = lay_out(run.sizes, case.seed)
+    pixels = np.bincount(layout.labels.ravel())[1:]
+    methods = run.methods_of(index)
+    others = {
+        name: {light: image for light, image, _ in _developed(case, view, layout.frame_shape)}
+        for name, view in _worker.second.items()
+        if name in methods
+    }
     outcomes: list[Outcome] = []
-    for light, path, frame in photograph(case, rig, layout.frame_shape, run.lights, _worker.scratch):
-        image = develop(path, recipe="native" if bank.recipe == "native" else "superpixel")
-        path.unlink()
-        check_fits(bank, image)
-        pixels = np.bincount(layout.labels.ravel())[1:]
+    for light, image, frame in _developed(case, _worker.view, layout.frame_shape):
         bounds = _bounds_mm(case, frame, pixels)
-        for method in run.methods_of(index):
-            estimates, seconds = timed_estimates(image, bank, layout.labels, method, run.settings.get(method, {}))
+        for method in methods:
+            settings: dict[str, Any] = dict(run.settings.get(method, {}))
+            if method in others:
+                settings |= {"second_image": others[method][light], "second_bank": _worker.second[method].bank}
+            estimates, seconds = timed_estimates(image, bank, layout.labels, method, settings)
             outcomes += [
                 outcome_of(
                     estimates[label], method=method, texture=case.texture, size=size, light=light,
@@ -160,8 +181,18 @@ def _measure_case(index: int, case: Case) -> list[Outcome]:
     return outcomes
 
 
+def _developed(case: Case, view: View, shape: tuple[int, int]) -> Iterator[tuple[str, LinearImage, SceneFrame]]:
+    """Photograph a case and develop it, light by light."""
+    assert _worker is not None
+    for light, path, frame in photograph(case, view.rig, shape, _worker.run.lights, _worker.scratch):
+        image = develop(path, recipe="native" if view.bank.recipe == "native" else "superpixel")
+        path.unlink()
+        check_fits(view.bank, image)
+        yield light, image, frame
+
+
 def timed_estimates(
-    image: LinearImage, bank: Bank, labels: NDArray[np.int32], method: str, settings: Mapping[str, str]
+    image: LinearImage, bank: Bank, labels: NDArray[np.int32], method: str, settings: Mapping[str, Any]
 ) -> tuple[dict[int, DepthEstimate], float]:
     """Depths of all regions of a frame, and the seconds that it took, divided by the number of regions."""
     started = time.perf_counter()
@@ -188,7 +219,7 @@ def _bounds_mm(case: Case, frame: SceneFrame, pixels: NDArray[np.intp]) -> list[
         return [float("inf")] * len(pixels)
     item = plane_scene(case.texture, case.true_mm).objects[0]
     spectrum, mean = texture_spectrum(case.texture, frame.world.sensor.shape)
-    gain, noise = signal_and_noise(item, mean, frame.world.sensor, _worker.rig.scene_illumination, frame.exposure)
+    gain, noise = signal_and_noise(item, mean, frame.world.sensor, _worker.view.rig.scene_illumination, frame.exposure)
     spectrum = gain**2 * spectrum
     one = depth_bound_mm(_worker.psfs, case.true_mm, spectrum, noise, 1)
     return [one / float(np.sqrt(count)) for count in pixels]

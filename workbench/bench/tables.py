@@ -228,10 +228,10 @@ def markdown_page(title: str, facts: Mapping[str, object], tables: Sequence[Tabl
 COLUMN_NOTES = """n: regions; what counts regions is in per cent. Answered: a depth was given; unmarked: given, and not
 called ambiguous. Both, and the gross ones, are fractions of all regions; the others of the answered ones. Exact: within
 5 cm, so that rounding to the 10 cm grid gives the truth. Gross: off by more than 40 cm; unm. gross: and not called
-ambiguous. Flips: not exact, on the wrong side of focus and nearer to the mirror depth than to the focal plane. Fine: RMS
-error of answers neither gross nor flipped; beside it the Cramer-Rao bound of the same regions, for a Gaussian texture of
-known spectrum. In 95 %: the interval holds the truth. Time: median per region, of one core, all regions of a frame
-measured together."""
+ambiguous. Flips: not exact, on the wrong side of focus and nearer to the mirror depth than to the focal plane. Fine:
+RMS error of answers neither gross nor flipped; beside it the Cramer-Rao bound of the same regions, for a Gaussian
+texture of known spectrum. In 95 %: the interval holds the truth. Time: median per region, of one core, all regions of a
+frame measured together."""
 
 
 def tables_json(outcomes: Sequence[Outcome], focus_mm: float) -> dict[str, list[dict[str, Any]]]:

@@ -6,7 +6,7 @@ import os
 import tempfile
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,8 +16,8 @@ from calibration.bank import Bank, save_bank
 from calibration.raw import develop
 from rigs.simulated.rig import render_scene_frame
 from workbench.banks import open_bank
-from workbench.bench.accuracy import Run, run_cases
-from workbench.bench.bench_banks import default_work, raws_bank, rig_settings, simulated_bank
+from workbench.bench.accuracy import Run, View, run_cases
+from workbench.bench.bench_banks import SECOND_PUPILS, default_work, raws_bank, rig_settings, simulated_bank
 from workbench.bench.cases import BLANK, LIGHTS, SIZES, TEXTURES, depth_list, make_cases
 from workbench.bench.method_speed import MemoryRow, MethodRow, method_rows, peak_memory
 from workbench.bench.scoring import Outcome
@@ -32,7 +32,7 @@ from workbench.bench.tables import (
 )
 from workbench.bench.truth import read_truth, run_truth
 from workbench.cli.common import LENGTH, Context, command_options
-from workbench.depth.methods import DEFAULT_METHOD, METHODS, make_options
+from workbench.depth.methods import DEFAULT_METHOD, METHODS, make_options, needs_second_view
 from workbench.figures.bench import error_and_bound, measured_against_true, rates_by_texture
 from workbench.figures.style import to_bytes
 from workbench.files import staged_files, write_json
@@ -175,8 +175,16 @@ def _measure_simulated(
     first = -(-per_texture // (every or form.every)) * len(textures)
     references = [name for name in methods if name != DEFAULT_METHOD and len(methods) > 1]
     run = Run(methods, sizes, lights or form.lights, dict.fromkeys(references, first), settings)
+    second = {}
+    for name in (name for name in methods if name in SECOND_PUPILS):
+        pupil = SECOND_PUPILS[name]
+        with context.progress(f"calibrating the second aperture of {name}") as observer:
+            other, _ = simulated_bank(work, seed=rig.seed, step_mm=step_mm, observer=observer, pupil=pupil)
+        second[name] = View(other, replace(rig, pupil=pupil))
     with context.progress("bench accuracy") as observer:
-        outcomes = run_cases(cases, run, bank, rig, jobs=jobs or min(2, os.cpu_count() or 1), observer=observer)
+        outcomes = run_cases(
+            cases, run, View(bank, rig), second=second, jobs=jobs or min(2, os.cpu_count() or 1), observer=observer
+        )
     facts = {
         **_bank_facts(bank),
         "cases": f"{len(cases)} frames, seed {seed}, light {', '.join(run.lights)}",
@@ -190,6 +198,10 @@ def _measure_raws(
     out: Path | None,
 ) -> None:  # fmt: skip
     files = read_truth(raws)
+    two = [name for name in methods if needs_second_view(name)]
+    if two:
+        context.note(f"left out, since they need two photographs: {', '.join(two)}")
+        methods = tuple(name for name in methods if name not in two)
     if bank_ref is not None:
         bank = open_bank(context.project(), bank_ref)[0]
     else:
@@ -292,7 +304,7 @@ def speed(
     kernels = speed_table(size, repeats=repeats)
     rows: list[MethodRow] = []
     used: list[MemoryRow] = []
-    methods = tuple(name for name in methods if name != "none")
+    methods = tuple(name for name in methods if name != "none" and not needs_second_view(name))
     if methods:
         with context.progress("calibrating the simulated rig") as observer:
             bank, config = simulated_bank(work or default_work(), seed=1, step_mm=100.0, observer=observer)

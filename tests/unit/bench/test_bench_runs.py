@@ -12,7 +12,7 @@ from calibration.bank import save_bank
 from calibration.image import FrameInfo, LinearImage
 from rigs.simulated.rig import render_scene_frame
 from rigs.simulated.world import SimulatedRigSettings
-from workbench.bench.accuracy import Run, run_cases
+from workbench.bench.accuracy import Run, View, run_cases
 from workbench.bench.cases import Case
 from workbench.bench.method_speed import SCIKIT_IMAGE, method_rows, peak_memory, six_regions
 from workbench.cli import workbench
@@ -28,7 +28,7 @@ def test_a_run_measures_each_case_with_its_methods_in_order() -> None:
     cases = [Case("gravel", 1500.0, True, 1), Case("leaves", 2000.0, False, 2)]
     run = Run(("sharpness",), ("64", "128"), ("normal", "dim"), settings=QUICK)
     steps = []
-    outcomes = run_cases(cases, run, small_bank(), SimulatedRigSettings(), jobs=1, observer=steps.append)
+    outcomes = run_cases(cases, run, View(small_bank(), SimulatedRigSettings()), jobs=1, observer=steps.append)
     assert [(o.texture, o.light, o.size) for o in outcomes] == [
         (texture, light, size)
         for texture in ("gravel", "leaves")
