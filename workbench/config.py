@@ -55,30 +55,21 @@ class Section(BaseModel):
 class OpticsConfig(Section):
     """What is known of the lens beforehand; the lens fit measures the rest."""
 
-    focal_length_mm: Length = Field(50.0, alias="focal_length")
-    aperture_radius_mm: Length = Field(7.0, alias="aperture_radius")
+    focal_length_mm: Length = Field(50.0, alias="focal_length", gt=0)
+    aperture_radius_mm: Length = Field(7.0, alias="aperture_radius", gt=0)
     """Radius of the circle about the mask's opening."""
-    focus_mm: Length | None = Field(None, alias="focus")
+    focus_mm: Length | None = Field(None, alias="focus", gt=0)
     """Distance set on the lens, if known; only starting value and plausibility check of the fit."""
 
 
 class CameraConfig(Section):
     """The camera and how its RAW files are developed."""
 
-    kind: Literal["simulated", "gphoto2"] = "simulated"
-    pixel_pitch_mm: Length | None = Field(None, alias="pixel_pitch")
+    kind: Literal["simulated"] = "simulated"
+    pixel_pitch_mm: Length | None = Field(None, alias="pixel_pitch", gt=0)
     """Photosite pitch; needed where the RAW files don't state it."""
     recipe: Literal["superpixel", "native"] = "superpixel"
     iso: int = Field(100, ge=25, le=409600)
-    model: str = ""
-    serial: str = ""
-    port: str = ""
-    capture_target: Literal["card", "memory"] = "card"
-    timeout_s: Duration = Field(60.0, alias="timeout", gt=0)
-    restart_every: int = Field(0, ge=0)
-    """Restart the camera process after so many captures; 0 never."""
-    environment: dict[str, str] = {}
-    """Environment variables of the camera process."""
 
 
 class DepthConfig(Section):
@@ -92,21 +83,8 @@ class DepthConfig(Section):
 class StageConfig(Section):
     """The stage and how its coordinate becomes depth."""
 
-    kind: Literal["simulated", "grbl", "zaber", "manual"] = "simulated"
-    port: str = ""
-    """Path, ``usb:VID:PID[:SERIAL]`` or a pyserial URL."""
-    baud_rate: int = Field(115200, gt=0)
+    kind: Literal["simulated", "manual"] = "simulated"
     depth: DepthConfig = DepthConfig()
-    speed_mm_s: float | None = Field(None, gt=0, alias="speed")
-    """Highest speed in mm/s; none: the controller's own limit."""
-    axis: str = "X"
-    """Axis letter (GRBL) or number (Zaber)."""
-    device: int = Field(1, ge=1, le=99)
-    """Zaber device address."""
-    microstep_mm: Length | None = Field(None, alias="microstep")
-    """Zaber: travel per microstep."""
-    allow_without_homing: bool = False
-    allow_without_soft_limits: bool = False
     limits_mm: tuple[Length, Length] | None = Field(None, alias="limits")
     """Manual stage: nearest and farthest position."""
 
@@ -114,7 +92,7 @@ class StageConfig(Section):
 class DotConfig(Section):
     """The point source on the panel."""
 
-    size_px: float | Literal["auto"] = Field("auto", alias="size")
+    size_px: Annotated[float, Field(gt=0)] | Literal["auto"] = Field("auto", alias="size")
     """Diameter in panel pixels; auto: as large as its image may be without widening the PSF."""
     colour: str = Field("#ffffff", pattern=r"^#[0-9a-fA-F]{6}$")
 
@@ -170,6 +148,17 @@ class RigConfig(Section):
     panel: PanelConfig = PanelConfig()
     calibration: CalibrationConfig = CalibrationConfig()
     simulation: SimulationConfig = SimulationConfig()
+
+    @model_validator(mode="after")
+    def _focus_beyond_focal_length(self) -> RigConfig:
+        nearest = 2.0 * self.optics.focal_length_mm  # nearer than that an image is larger than life
+        for key, focus_mm in (("optics", self.optics.focus_mm), ("simulation", self.simulation.focus_mm)):
+            if focus_mm is not None and focus_mm < nearest:
+                raise ValueError(
+                    f"{key}.focus: {focus_mm:g} mm is too near for a lens of {self.optics.focal_length_mm:g} mm; "
+                    f"give at least {nearest:g} mm"
+                )
+        return self
 
 
 def load_rig_config(path: Path) -> RigConfig:

@@ -2,21 +2,29 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field
 
+from rigs.browser_panel import BrowserPanel, BrowserPanelSettings
 from rigs.errors import RigError
+from rigs.manual_stage import ManualSettings, ManualStage
 from rigs.protocols import Camera, Panel, Stage
 from rigs.rig import DepthAxis, Rig
 from rigs.simulated.devices import SimulatedCamera, SimulatedPanel, SimulatedStage
+from rigs.simulated.followers import FollowedPanel, FollowedStage
 from rigs.simulated.panel_view import PanelSurface
 from rigs.simulated.scene import SceneTruth, scene_truth
 from rigs.simulated.scenes import scene_by_name
 from rigs.simulated.world import SimulatedRigSettings, SimulatedWorld
 from workbench.config import RigConfig
+from workbench.units import cm
 
 Tell = Callable[[str], None]
+
+_PAGE_PATIENCE_S = 300.0
+"""How long the operator has to open the panel's page."""
 
 
 def simulated_world(config: RigConfig) -> SimulatedWorld:
@@ -60,8 +68,8 @@ class _Opening:
         return self._world
 
 
-def open_scene_camera(config: RigConfig, *, tell: Tell) -> tuple[Camera, SceneTruth | None]:
-    """Open the camera alone, looking at the scene; a simulated scene comes with its truth.
+def open_scene_camera(config: RigConfig, *, tell: Tell) -> tuple[Camera, SceneTruth]:
+    """Open the camera alone, looking at the scene, with the scene's truth.
 
     Raises
     ------
@@ -69,8 +77,6 @@ def open_scene_camera(config: RigConfig, *, tell: Tell) -> tuple[Camera, SceneTr
         The camera is missing, busy or wrong; or there is no scene of the configured name.
     """
     opening = _Opening(config, tell)
-    if config.camera.kind != "simulated":
-        return open_camera(opening), None
     world = opening.world
     scene = scene_by_name(config.simulation.scene, config.simulation.seed)
     world.subject = scene
@@ -115,9 +121,42 @@ def open_camera(opening: _Opening) -> Camera:
 
 def open_stage(opening: _Opening) -> Stage:
     """The stage of rig.yaml."""
+    config = opening.config.stage
+    if config.kind == "manual":
+        depth = config.depth
+        axis = DepthAxis(depth.offset_mm, depth.sign, depth.scale)
+        limits = config.limits_mm or (0.0, 3000.0)
+        settings = ManualSettings(limits, lambda position: cm(axis.depth_mm(position)))
+        return FollowedStage(ManualStage(settings, _ask_operator), opening.world)
     return SimulatedStage(opening.world)
 
 
+def _ask_operator(question: str) -> str:
+    print(question, end="", file=sys.stderr, flush=True)
+    answer = sys.stdin.readline()
+    if not answer:
+        raise EOFError
+    return answer.rstrip("\n")
+
+
 def open_panel(opening: _Opening) -> Panel:
-    """The panel of rig.yaml."""
+    """The panel of rig.yaml; one in a browser is waited for until a page is connected and ready."""
+    config = opening.config.panel
+    if config.kind == "browser":
+        panel = BrowserPanel(
+            BrowserPanelSettings(
+                host=config.host,
+                port=config.port,
+                token=config.token,
+                ack_timeout_s=config.ack_timeout_s,
+                require_fullscreen=config.require_fullscreen,
+            )
+        )
+        opening.tell(panel.invitation())
+        try:
+            panel.wait_ready(_PAGE_PATIENCE_S)
+        except BaseException:
+            panel.close()
+            raise
+        return FollowedPanel(panel, opening.world)
     return SimulatedPanel(opening.world)

@@ -11,9 +11,9 @@ from workbench.plan import PatternSpec, Plan, depth_grid_mm
 FRAME_BYTES_PER_PHOTOSITE = 1.2
 """A losslessly compressed 14-bit RAW file takes about this much."""
 METER_SHOTS_PER_DEPTH = 2.5
-SECONDS_PER_SHOT = {"simulated": 0.25, "gphoto2": 4.0}
+SECONDS_PER_SHOT = {"simulated": 0.25}
 """Readout, download and check of one frame, without its exposure; only for the estimate."""
-SECONDS_PER_MOVE = {"simulated": 0.0, "grbl": 3.0, "zaber": 4.0, "manual": 30.0}
+SECONDS_PER_MOVE = {"simulated": 0.0, "manual": 30.0}
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,9 +73,7 @@ def cost(plan: Plan, config: RigConfig) -> PlanCost:
     """Shots, time and bytes of a plan (an estimate: exposures are metered on the rig)."""
     shots = sum(1 for _ in plan.shots())
     frames = shots + METER_SHOTS_PER_DEPTH * len(plan.depths_mm)
-    photosites = (
-        5184 * 3456 if config.camera.kind != "simulated" or config.simulation.preset == "eos650d" else 1536 * 1024
-    )
+    photosites = 5184 * 3456 if config.simulation.preset == "eos650d" else 1536 * 1024
     seconds = frames * SECONDS_PER_SHOT[config.camera.kind] * max(photosites / 18e6, 0.3)
     seconds += len(plan.depths_mm) * SECONDS_PER_MOVE[config.stage.kind]
     return PlanCost(shots, seconds, frames * photosites * FRAME_BYTES_PER_PHOTOSITE)

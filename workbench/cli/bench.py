@@ -84,14 +84,15 @@ def parse_method_settings(
 class Form:
     """How much of everything an accuracy run takes."""
 
+    methods: tuple[str, ...]
     depths: int
     lights: tuple[str, ...]
     every: int
     """Reference methods measure one case of so many."""
 
 
-QUICK = Form(depths=6, lights=("normal",), every=6)
-FULL = Form(depths=59, lights=tuple(LIGHTS), every=12)
+QUICK = Form(methods=(DEFAULT_METHOD, "sharpness"), depths=6, lights=("normal",), every=6)
+FULL = Form(methods=tuple(METHODS), depths=59, lights=tuple(LIGHTS), every=12)
 
 
 @click.group()
@@ -107,8 +108,8 @@ def accuracy_options(function: click.decorators.FC) -> click.decorators.FC:
             click.option("--full", is_flag=True, help="Every depth for every texture and light: tens of minutes."),
             click.option("--raws", type=path,
                          help="Measure this directory's RAW files instead; its truth.json knows their depths."),
-            click.option("--methods", type=NamesParam("methods", tuple(METHODS)), default="all", show_default=True,
-                         help="Methods to compare, with commas."),
+            click.option("--methods", type=NamesParam("methods", tuple(METHODS)), default=None,
+                         help=f"Methods to compare, with commas, or all; quick {','.join(QUICK.methods)}, else all."),
             click.option("--textures", type=NamesParam("textures", (*TEXTURES, BLANK)), default="all",
                          show_default=True, help="Texture classes."),
             click.option("--sizes", type=NamesParam("sizes", SIZES), default="all", show_default=True,
@@ -142,14 +143,15 @@ def accuracy_options(function: click.decorators.FC) -> click.decorators.FC:
 @accuracy_options
 @command_options
 def accuracy(
-    context: Context, full: bool, raws: Path | None, methods: tuple[str, ...], bank_ref: str | None, work: Path | None,
-    settings: Settings, out: Path | None, **chosen: Any,
+    context: Context, full: bool, raws: Path | None, methods: tuple[str, ...] | None, bank_ref: str | None,
+    work: Path | None, settings: Settings, out: Path | None, **chosen: Any,
 ) -> None:  # fmt: skip
     """Measure scenes of known depth with every method.
 
     Scenes are photographed by the simulated rig; no project is needed. The quick form takes about a minute.
     """
     work = work or default_work()
+    methods = methods or (FULL if full or raws is not None else QUICK).methods
     if raws is not None:
         _measure_raws(context, context.existing(raws, "directory"), methods, settings, bank_ref, work, out)
     else:

@@ -17,7 +17,6 @@ from workbench.measure import MeasureOptions
 from workbench.photograph import next_photograph, photograph
 from workbench.planning import make_plan
 from workbench.project import Project, create_project, open_project
-from workbench.session import create_session
 from workbench.units import cm
 
 
@@ -32,10 +31,7 @@ def demo(context: Context, target: Path, preset: str, seed: int) -> None:
     root = context.directory / target
     project = open_project(root) if (root / "rig.yaml").exists() else create_project(root, preset=preset, seed=seed)
     config = project.config()
-    with project.lock_rig():
-        session = project.new_session_id()
-        create_session(project.sessions / session, make_plan(config))
-    run_session(context, project, session)
+    run_session(context, project, make_plan(config))
     context.say()
     _measure_scene(context, project)
 
@@ -48,8 +44,6 @@ def _measure_scene(context: Context, project: Project) -> None:
     taken = photograph(camera, destination, base_iso=config.camera.iso)
     camera.close()
     measurement = measure_photograph(context, project, bank, "active", MeasureOptions(), taken.path, None)
-    if truth is None:
-        return
     write_truth(truth, project.photographs, destination.stem)
     results = compare(measurement, truth)
     rows = []

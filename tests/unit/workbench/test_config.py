@@ -24,7 +24,7 @@ def test_the_template_is_valid_and_means_what_it_says(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("stage: {baud_rat: 9600}", ("stage", "'baud_rat'", "'baud_rate'")),
+        ("stage: {limts: [0 mm, 1 m]}", ("stage", "'limts'", "'limits'")),
         ("camra: {}", ("'camra'", "'camera'")),
         ("calibration: {from: 60}", ("calibration.from", "no unit", "60cm")),
         ("calibration: {from: 60 s}", ("calibration.from", "'s'", "unit")),
