@@ -5,6 +5,7 @@ from __future__ import annotations
 import multiprocessing
 import os
 import tempfile
+import threading
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
@@ -147,8 +148,17 @@ _worker: _Worker | None = None
 
 def _start_worker(view: View, second: Mapping[str, View], run: Run, scratch: Path) -> None:
     global _worker
+    threading.Thread(target=_end_with_parent, daemon=True).start()
     cv2.setNumThreads(1)
     _worker = _Worker(view, psf_model(view.bank), second, run, scratch)
+
+
+def _end_with_parent() -> None:
+    """Leave when the parent was killed: the pool's workers would wait for it for ever."""
+    parent = multiprocessing.parent_process()
+    assert parent is not None
+    parent.join()
+    os._exit(1)
 
 
 def _measure_case(index: int, case: Case) -> list[Outcome]:

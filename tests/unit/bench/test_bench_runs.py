@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -49,6 +52,39 @@ def test_reference_methods_measure_only_the_first_cases() -> None:
     run = Run(("evidence", "sharpness"), ("64",), ("normal",), first={"sharpness": 3})
     assert run.methods_of(2) == ("evidence", "sharpness")
     assert run.methods_of(3) == ("evidence",)
+
+
+_LONG_RUN = """
+import sys
+sys.path.insert(0, sys.argv[1])
+if __name__ == "__main__":
+    from bench_drawings import small_bank
+    from rigs.simulated.world import SimulatedRigSettings
+    from workbench.bench.accuracy import Run, View, run_cases
+    from workbench.bench.cases import Case
+    cases = [Case("gravel", 1500.0, True, seed) for seed in range(1000)]
+    run = Run(("sharpness",), ("64",), ("normal",), settings={"sharpness": {"iterations": "1"}})
+    view = View(small_bank(), SimulatedRigSettings())
+    run_cases(cases, run, view, jobs=1, observer=lambda step: print(step.done, flush=True))
+"""
+
+
+@pytest.mark.skipif(not Path("/proc/self/task").is_dir(), reason="needs /proc to see processes")
+def test_processes_end_when_the_run_is_killed(tmp_path: Path) -> None:
+    script = tmp_path / "long_run.py"
+    script.write_text(_LONG_RUN)
+    command = [sys.executable, str(script), str(Path(__file__).parent)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as run:
+        assert run.stdout is not None
+        assert run.stdout.readline() == "1\n"
+        children = Path(f"/proc/{run.pid}/task/{run.pid}/children").read_text().split()
+        run.kill()
+        run.wait()
+    deadline = time.monotonic() + 10
+    while any(Path(f"/proc/{child}").exists() for child in children) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    assert children
+    assert not [child for child in children if Path(f"/proc/{child}").exists()]
 
 
 def grey_frame(side: int) -> LinearImage:
