@@ -91,7 +91,7 @@ class Form:
     """Reference methods measure one case of so many."""
 
 
-QUICK = Form(methods=(DEFAULT_METHOD, "sharpness"), depths=6, lights=("normal",), every=6)
+QUICK = Form(methods=(DEFAULT_METHOD, "sharpness"), depths=3, lights=("normal",), every=3)
 FULL = Form(methods=tuple(METHODS), depths=59, lights=tuple(LIGHTS), every=12)
 
 
