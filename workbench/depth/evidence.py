@@ -11,7 +11,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -182,4 +182,29 @@ def _conclude(
         "mode_radius_px": model.row_radius_px[modes],
         "mode_sparseness_far_near": np.stack([far, near]),
     }
-    return summarise(sigma, log_post, int(seen.pixels), model, learned, options, diagnostics)
+    estimate = summarise(sigma, log_post, int(seen.pixels), model, learned, options, diagnostics)
+    return _unless_another_blur_fits(estimate, likelihood, modes, model, options)
+
+
+def _unless_another_blur_fits(
+    estimate: DepthEstimate, likelihood: FloatArray, modes: list[int], model: DepthModel, options: EvidenceOptions
+) -> DepthEstimate:
+    """Call an estimate ambiguous where the spectrum alone hardly prefers its blur to quite another one."""
+    if estimate.status != "ok":
+        return estimate
+    chosen = abs(model.psfs.radius_px(estimate.depth_mm))
+    radius = np.abs(model.row_radius_px)
+    near = np.abs(radius - chosen) <= 1.0
+    own = float(likelihood[near].max()) if near.any() else float(likelihood.max())
+    for row in modes:
+        low, high = sorted((float(radius[row]) + 0.5, chosen + 0.5))
+        apart = high / low > options.close_ratio and high - low > 2.0
+        if apart and likelihood[row] > own - options.close_log_likelihood:
+            other = model.depth_mm(float(np.copysign(radius[row], model.psfs.radius_px(estimate.depth_mm))))
+            return replace(
+                estimate,
+                status="ambiguous",
+                confidence=0.5 * estimate.confidence,
+                reason=f"its spectrum fits the blur of {other / 10:.0f} cm nearly as well",
+            )
+    return estimate

@@ -39,6 +39,10 @@ class EvidenceOptions:
         Windows that are deconvolved, at most.
     ambiguous_below
         With less probability than this in the best mode a region is ambiguous.
+    close_log_likelihood, close_ratio
+        A blur whose radius differs by more than this ratio, and whose spectrum fits less than so much worse, makes a
+        region ambiguous whatever else speaks for the best one: a smooth texture in focus looks like a rough one behind
+        a larger blur.
     least_evidence
         Log-likelihood that texture must gain over noise alone.
     max_saturated
@@ -55,6 +59,8 @@ class EvidenceOptions:
     radius_step_px: float = 0.3
     side_windows: int = 9
     ambiguous_below: float = 0.95
+    close_log_likelihood: float = 12.0
+    close_ratio: float = 1.25
     least_evidence: float = 12.0
     max_saturated: float = 0.1
     factor_spread: float = 0.5
