@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from calibration.bank import Bank
 from calibration.build import software_version
 from calibration.errors import BankError, DepthListError, FitError
-from calibration.lens_fit import check_depths, fit_lens
+from calibration.lens_fit import LensFit, check_depths, fit_lens
 from calibration.template import Spot, fit_spots
 
 FloatArray = NDArray[np.float64]
@@ -85,8 +85,7 @@ def import_bank(
         psf = (psf / total).astype(np.float32)
     stored_se = stored.get("psf_se")
     se = _odd_square(stored_se[:, order]) if stored_se is not None else _guess_se(psf)
-    radius = _radii(path, psf, se, checked[order])
-    lens = fit_lens(checked[order], radius[0], radius[1], apply_zero=False)
+    lens = _lens(path, psf, se, checked[order])
     return Bank(
         depths_mm=checked[order],
         psf=psf,
@@ -264,15 +263,14 @@ def _guess_se(psf: NDArray[np.float32]) -> NDArray[np.float32]:
     return np.asarray(np.broadcast_to(0.02 * level[:, :, np.newaxis, np.newaxis], psf.shape), np.float32).copy()
 
 
-def _radii(
-    path: Path, psf: NDArray[np.float32], se: NDArray[np.float32], depths: FloatArray
-) -> tuple[FloatArray, FloatArray]:
+def _lens(path: Path, psf: NDArray[np.float32], se: NDArray[np.float32], depths: FloatArray) -> LensFit:
     spots = [
         Spot(p.astype(np.float64), np.maximum(s.astype(np.float64), 1e-4 * float(p.max())))
         for p, s in zip(psf[0], se[0], strict=True)
     ]
     try:
         fit = fit_spots(spots, 1.0 / depths)
+        radius = np.array([s.radius_px for s in fit.spots])
+        return fit_lens(depths, radius, np.array([s.radius_se_px for s in fit.spots]), apply_zero=False)
     except FitError as error:
         raise FitError(f"{path}: {error}") from None
-    return np.array([s.radius_px for s in fit.spots]), np.array([s.radius_se_px for s in fit.spots])

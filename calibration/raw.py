@@ -16,6 +16,10 @@ linear
 from __future__ import annotations
 
 import hashlib
+import os
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -166,7 +170,7 @@ def _develop_raw(path: Path, sha256: str, tags: Tags, recipe: Recipe, pitch_mm: 
     if recipe not in ("superpixel", "native"):
         raise FrameError(f"{path}: a RAW file is developed as superpixel or native, not {recipe!r}")
     try:
-        with rawpy.imread(str(path)) as raw:
+        with _decoder_heard(path), rawpy.imread(str(path)) as raw:
             mosaic, pattern = _mosaic(path, raw)
             blacks, white = _levels(path, raw)
             other = raw.other
@@ -193,6 +197,34 @@ def _develop_raw(path: Path, sha256: str, tags: Tags, recipe: Recipe, pitch_mm: 
     if pitch is not None and recipe == "superpixel":
         pitch *= 2.0
     return LinearImage(planes, saturated, recipe, pitch, info)
+
+
+@contextmanager
+def _decoder_heard(path: Path) -> Iterator[None]:
+    """LibRaw tells of damaged data on the process's stderr, past Python, and may go on: listen, and refuse the file.
+
+    Raises
+    ------
+    FrameError
+        Part of the pixels couldn't be read.
+    """
+    with tempfile.TemporaryFile() as said:
+        try:
+            stderr = os.dup(2)
+        except OSError:  # a process without stderr
+            yield
+            return
+        try:
+            os.dup2(said.fileno(), 2)
+            yield
+        finally:
+            os.dup2(stderr, 2)
+            os.close(stderr)
+        said.seek(0)
+        text = said.read()
+    for complaint in (b"Unexpected end of file", b"data corrupted"):
+        if complaint in text:
+            raise FrameError(f"{path}: truncated or damaged ({complaint.decode().lower()}); copy it again")
 
 
 def _mosaic(path: Path, raw: Any) -> tuple[NDArray[np.uint16], tuple[int, int, int, int]]:

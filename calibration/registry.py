@@ -20,6 +20,7 @@ from typing import Any, Literal
 from calibration.errors import BankError
 
 Act = Literal["register", "certify", "activate", "revoke"]
+_ID = re.compile(r"^[0-9a-z]+$")
 _VERSION = re.compile(r"^v(\d+)$", re.IGNORECASE)
 
 
@@ -175,6 +176,8 @@ def _refuse_revoked(entry: Entry | None) -> None:
 
 def _apply(entries: dict[str, Entry], record: Mapping[str, Any]) -> None:
     act, bank_id = record["act"], record["id"]
+    if not _ID.match(bank_id):
+        raise ValueError(bank_id)  # an id is also the name of a directory
     if act == "register":
         entries.setdefault(bank_id, Entry(id=bank_id, version=int(record["version"])))
         return

@@ -33,9 +33,10 @@ def store_bank(project: Project, bank: Bank) -> StoredBank:
     from workbench.report import write_bank_report  # drawing is slow to import, and listing banks needs none
 
     with made_directory(project.banks):
-        is_new = not (project.banks / bank.id).exists()
-        directory = save_bank(bank, project.banks)
+        directory = project.banks / bank.id
+        is_new = not directory.exists()
         try:
+            save_bank(bank, project.banks)
             report = directory / "report.html"
             write_bank_report(bank, report, version=f"v{next_version(project.banks, bank.id)}")
             entry = register(project.banks, bank.id, active=True)

@@ -31,9 +31,11 @@ def made_directory(directory: Path) -> Iterator[None]:
     try:
         directory.mkdir(parents=True, exist_ok=True)
         yield
-    except BaseException:
+    except BaseException as error:
         if missing is not None:
             shutil.rmtree(missing, ignore_errors=True)
+        if isinstance(error, OSError) and error.filename is None:
+            error.filename = str(directory)  # writing to an open file tells no name
         raise
 
 

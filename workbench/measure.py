@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import cv2
+import imagecodecs
 import numpy as np
 import tifffile
 from numpy.typing import NDArray
@@ -44,6 +45,10 @@ class MeasureOptions:
     srm_q: float = 32.0
 
 
+MOST_REGIONS = 65535
+"""What the 16-bit label image that a measurement writes can tell apart."""
+
+
 def read_labels(path: Path, shape: tuple[int, int]) -> NDArray[np.int32]:
     """Read a label image (PNG or TIFF, one integer per pixel, 0 = none).
 
@@ -54,8 +59,12 @@ def read_labels(path: Path, shape: tuple[int, int]) -> NDArray[np.int32]:
     """
     if not path.is_file():
         raise InputError(f"{path}: no such label image")
-    labels = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
-    if labels is None or labels.ndim != 2 or labels.dtype.kind not in "ui":
+    try:  # not by OpenCV: it takes half a file for a whole one, and talks on stderr
+        is_tiff = path.suffix.lower() in (".tif", ".tiff")
+        labels = np.asarray(tifffile.imread(path) if is_tiff else imagecodecs.png_decode(path.read_bytes()))
+    except Exception as error:  # decoders raise whatever broken bytes lead them to
+        raise InputError(f"{path}: can't be read as a PNG or TIFF; save the label image again") from error
+    if labels.ndim != 2 or labels.dtype.kind not in "ui":
         raise InputError(f"{path}: not a label image; expected a PNG or TIFF with one integer per pixel")
     if labels.shape != shape:
         raise InputError(
@@ -64,6 +73,11 @@ def read_labels(path: Path, shape: tuple[int, int]) -> NDArray[np.int32]:
         )
     if not labels.any():
         raise InputError(f"{path}: holds no region (every pixel is 0)")
+    low, high = int(labels.min()), int(labels.max())
+    if low < 0 or high > MOST_REGIONS:
+        raise InputError(
+            f"{path}: holds the label {low if low < 0 else high}; number the regions 1 to {MOST_REGIONS}, 0 for none"
+        )
     return labels.astype(np.int32)
 
 

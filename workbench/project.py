@@ -121,7 +121,6 @@ def create_project(root: Path, *, preset: str = "small", seed: int = 1) -> Proje
         raise InputError(f"{root}: is a file; name a directory")
     if (root / "rig.yaml").exists():
         raise InputError(f"{root}: is a project already (rig.yaml exists); edit it, or name another directory")
-    root.mkdir(parents=True, exist_ok=True)
     template = (package_files("workbench") / "templates" / "rig.yaml").read_text(encoding="utf-8")
     write_text(root / "rig.yaml", template.replace("@PRESET@", preset).replace("@SEED@", str(seed)))
     return Project(root)

@@ -26,7 +26,7 @@ from rigs.errors import CaptureError, NotAcknowledgedError, RigError
 from rigs.protocols import CaptureResult, Exposure
 from rigs.rig import Rig
 from workbench.errors import InputError
-from workbench.files import sha256_file, write_json
+from workbench.files import made_directory, sha256_file, write_json
 from workbench.journal import Journal, SessionState, verified_shots
 from workbench.metering import meter
 from workbench.plan import PatternSpec, Plan, Shot
@@ -43,8 +43,8 @@ FrameCheck = Callable[[Path], None]
 
 def create_session(directory: Path, plan: Plan) -> None:
     """Write the plan of a new session; the journal starts when it runs."""
-    (directory / "frames").mkdir(parents=True)
-    write_json(directory / "plan.json", plan.model_dump(mode="json"))
+    with made_directory(directory / "frames"):
+        write_json(directory / "plan.json", plan.model_dump(mode="json"))
 
 
 def load_plan(directory: Path) -> Plan:

@@ -44,7 +44,10 @@ def test_an_exported_bank_comes_back_with_the_same_psfs(project: Path, tmp_path:
 @pytest.mark.parametrize("suffix", [".npy", ".mat"])
 def test_a_stack_of_somebody_elses_psfs_becomes_a_bank(project: Path, tmp_path: Path, suffix: str) -> None:
     original = _central(project)
-    stack, depths = original.central[::2], [float(z) for z in original.depths_mm[::2]]
+    near_focus = slice(2, 7)
+    middle = slice(original.central.shape[1] // 2 - 15, original.central.shape[1] // 2 + 16)
+    stack = original.central[near_focus, middle, middle]
+    depths = [float(z) for z in original.depths_mm[near_focus]]
     path = tmp_path / f"stack{suffix}"
     if suffix == ".npy":
         np.save(path, stack)
@@ -56,7 +59,7 @@ def test_a_stack_of_somebody_elses_psfs_becomes_a_bank(project: Path, tmp_path: 
     assert made["pixel_pitch_mm"] == pytest.approx(0.0086)
     assert (made["version"], made["state"]) == (2, "active")
     listed = tmp_path / "depths.txt"
-    listed.write_text("\n".join(f"{z / 10:.6f}" for z in depths) + "\n")
+    listed.write_text("\n".join(f"{z}mm" for z in depths) + "\n")
     again = done("-C", project, "bank", "import", path, "--depths", listed, *told[2:], "--json").only
     assert (again["version"], again["id"]) == (2, made["id"])
 
@@ -176,7 +179,7 @@ def test_stacks_that_can_be_no_bank_are_refused(project: Path, tmp_path: Path) -
     np.save(tmp_path / "text.npy", np.array(["a", "b"]))
     np.save(tmp_path / "noise.npy", np.random.default_rng(0).random((4, 15, 15)))
     np.savez(tmp_path / "two.npz", a=psf, b=psf)
-    tifffile.imwrite(tmp_path / "plain.tif", psf)
+    tifffile.imwrite(tmp_path / "plain.tif", psf, photometric="minisblack")
     (tmp_path / "broken.npy").write_bytes((tmp_path / "good.npy").read_bytes()[:1000])
     (tmp_path / "empty.npz").write_bytes(b"")
     (tmp_path / "broken.mat").write_bytes(b"MATLAB 5.0 MAT-file" + bytes(50))

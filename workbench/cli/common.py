@@ -32,11 +32,6 @@ EXIT_INTERNAL, EXIT_INPUT, EXIT_CHECK, EXIT_DEVICE, EXIT_INTERRUPTED = 1, 2, 3, 
 Command = TypeVar("Command", bound=Callable[..., Any])
 
 
-class _Console(Console):
-    def on_broken_pipe(self) -> None:
-        raise BrokenPipeError  # instead of ending the process here
-
-
 @dataclass(slots=True)
 class Context:
     """Global options of one invocation."""
@@ -65,7 +60,7 @@ class Context:
     @property
     def console(self) -> Console:
         """Where people read: stdout, or stderr when stdout belongs to a machine."""
-        console = _Console(stderr=self.json, soft_wrap=True, highlight=False)
+        console = Console(stderr=self.json, soft_wrap=True, highlight=False)
         if not console.is_terminal:
             console.width = 160  # a file or pipe has no edge: tables keep their words whole
         return console
@@ -158,6 +153,8 @@ def _set_up_logging(verbose: int) -> None:
     logging.basicConfig(level=logging.WARNING, format="%(name)s: %(message)s", stream=sys.stderr, force=True)
     for name in ("workbench", "calibration", "rigs"):
         logging.getLogger(name).setLevel(level)
+    if not verbose:  # what is wrong with a file is said by us, in one line
+        logging.getLogger("tifffile").setLevel(logging.CRITICAL)
 
 
 def run(group: click.Group, argv: Sequence[str] | None = None) -> int:
@@ -179,7 +176,7 @@ def run(group: click.Group, argv: Sequence[str] | None = None) -> int:
     except RigError as error:
         full = getattr(error.__cause__, "errno", None) in (errno.ENOSPC, errno.EDQUOT)
         return _fail(str(error), EXIT_INPUT if full else EXIT_DEVICE)
-    except BrokenPipeError:
+    except (BrokenPipeError, SystemExit):  # rich and click end the process when stdout is closed
         return _reader_has_gone()
     except OSError as error:
         advice = _ADVICE.get(error.errno or 0)

@@ -12,6 +12,7 @@ from calibration.bank import Bank
 from workbench.banks import open_bank
 from workbench.cli.common import Context, command_options
 from workbench.depth.methods import DEFAULT_METHOD, make_options
+from workbench.errors import InputError
 from workbench.measure import MeasureOptions, open_second_view, save
 from workbench.measure import measure as measure_one
 from workbench.measurement import Measurement
@@ -73,6 +74,12 @@ def measure(context: Context, raws: tuple[Path, ...], out: Path | None, **chosen
     """Measure the depth of what ONE defocused photograph shows."""
     project, bank, bank_ref, options = _prepare(context, **chosen)
     photographs = [context.existing(path, "photograph") for path in raws]
+    stems = [path.stem for path in photographs]
+    twice = next((path for path in photographs if stems.count(path.stem) > 1), None)
+    if out and twice:
+        raise InputError(
+            f"{twice.name}: named twice, and --out {out} makes one directory per name; measure them one by one"
+        )
     for path in photographs:
         directory = out / path.stem if out and len(raws) > 1 else out
         measure_photograph(context, project, bank, bank_ref, options, path, directory)

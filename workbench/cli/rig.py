@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from rigs.errors import LimitError
 from workbench.cli.common import LENGTH, Context, command_options
 from workbench.errors import InputError
 from workbench.planning import cost, make_plan
@@ -15,6 +16,7 @@ from workbench.units import bytes_text, cm, seconds_text
 
 if TYPE_CHECKING:
     from workbench.calibrate import CalibrationResult
+    from workbench.plan import Plan
 
 
 @click.command()
@@ -99,12 +101,7 @@ def calibrate(
         return
     if apply_zero:
         raise InputError("--apply-zero: only with --frames; a session of the rig always applies the fitted zero")
-    from workbench.session import create_session
-
-    made = make_plan(config, from_mm=from_mm, to_mm=to_mm, step_mm=step_mm, repeats=repeats)
-    session = project.new_session_id()
-    create_session(project.sessions / session, made)
-    run_session(context, project, session)
+    run_session(context, project, make_plan(config, from_mm=from_mm, to_mm=to_mm, step_mm=step_mm, repeats=repeats))
 
 
 @click.command()
@@ -113,29 +110,36 @@ def calibrate(
 def resume(context: Context, session: str | None) -> None:
     """Go on with a session (default: the newest) where its journal stops."""
     project = context.project()
-    run_session(context, project, session or project.latest_session())
+    run_session(context, project, project.latest_session() if session is None else session)
 
 
-def run_session(context: Context, project: Project, session: str) -> None:
-    """Take what is missing of a session, make and show its bank."""
+def run_session(context: Context, project: Project, what: Plan | str) -> None:
+    """Start a session of a plan, or take what is missing of the session of this id; make and show its bank.
+
+    A new session leaves no trace unless the rig can be opened and reaches every depth.
+    """
     from calibration.raw import develop
     from workbench.calibrate import calibrate_session
     from workbench.devices import open_rig
-    from workbench.session import SessionRunner, load_plan
+    from workbench.session import SessionRunner, create_session, load_plan
 
-    directory = project.sessions / session
-    made = load_plan(directory)
+    made = load_plan(project.sessions / what) if isinstance(what, str) else what
     config = project.config()
 
     def check(path: Path) -> None:
         develop(path, recipe=config.camera.recipe, pixel_pitch_mm=config.camera.pixel_pitch_mm)
 
-    with (
-        project.lock_rig(),
-        context.progress(f"session {session}") as observer,
-        open_rig(config, tell=context.note) as rig,
-    ):
-        state = SessionRunner(directory, made, rig, observer=observer, check=check).run()
+    with project.lock_rig(), open_rig(config, tell=context.note) as rig:
+        try:
+            rig.check_reach(made.depths_mm)
+        except LimitError as error:
+            raise InputError(str(error)) from None
+        session = what if isinstance(what, str) else project.new_session_id()
+        directory = project.sessions / session
+        if not isinstance(what, str):
+            create_session(directory, made)
+        with context.progress(f"session {session}") as observer:
+            state = SessionRunner(directory, made, rig, observer=observer, check=check).run()
     context.note("making the bank")
     result = calibrate_session(project, directory, made, state, config)
     _show_bank(context, project, result, session)
