@@ -50,8 +50,12 @@ class LimitError(StageError):
     """The requested position lies outside the stage's travel."""
 
 
-class PositionLostError(StageError):
+class PositionLostError(NotHomedError):
     """The stage knew its position and has lost it."""
+
+
+class StoppedError(StageError):
+    """A movement was stopped before its end, by us or by a button on the machine."""
 
 
 class CameraError(RigError):

@@ -1,0 +1,421 @@
+"""A conversation with a GRBL controller: one line at a time, each answered; real-time bytes at any moment.
+
+``ok`` says that a line was taken, not that anything has moved, and a status asked at once may still say Idle. So
+nothing here concludes from one answer alone that the stage stands where it should; see :mod:`rigs.grbl_stage`.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+from rigs.errors import DeviceTimeoutError, PositionLostError, ProtocolError, RigError
+from rigs.grbl_codes import alarm_error, refusal, refused_as_garbled
+from rigs.grbl_protocol import (
+    ASK_STATUS,
+    HOLD,
+    JOG_CANCEL,
+    RESET,
+    Alarm,
+    Banner,
+    Error,
+    Message,
+    Ok,
+    Other,
+    Reply,
+    Status,
+    parse,
+)
+from rigs.serial_link import SerialLink
+
+_SLICE_S = 0.05
+"""How often a waiting thread looks whether somebody asked to stop."""
+_ASK_AGAIN_S = 0.5
+_RESET_AGAIN_S = 2.5
+"""A boot loader is deaf for about 1.6 s; sooner than this a second attempt would only disturb."""
+_QUIET_S = 0.15
+_REPORTS_WITHOUT_OFFSET = 60
+"""GRBL sends the work offset with every tenth report at rest, every thirtieth in motion."""
+
+
+class StopRequestedError(Exception):
+    """Somebody called for a stop while we waited; never leaves the driver."""
+
+
+class RestartedError(PositionLostError):
+    """The controller's start-up banner came unasked."""
+
+
+class GrblController:
+    """A GRBL controller behind a line. One thread at a time; only :meth:`urge` is for everybody.
+
+    Parameters
+    ----------
+    link
+        The open line.
+    reply_timeout_s
+        How long an answer may take.
+    boot_timeout_s
+        How long the controller may take to start.
+    """
+
+    def __init__(self, link: SerialLink, *, reply_timeout_s: float, boot_timeout_s: float) -> None:
+        self._link = link
+        self._reply_timeout_s, self._boot_timeout_s = reply_timeout_s, boot_timeout_s
+        self._synchronised = True
+        self._offset: tuple[float, ...] | None = None
+        self.banner = ""
+        self.latest: Status | None = None
+        self.stop_requested: Callable[[], bool] = lambda: False
+        """Asked before every line that is sent and while waiting."""
+
+    def urge(self, realtime: bytes) -> None:
+        """Send real-time bytes now, from any thread."""
+        self._link.write(realtime)
+
+    # -- starting, resetting, coming to rest ---------------------------------------------------------------------
+
+    def wake(self) -> Status:
+        """Wait for a controller that was just connected, whatever state it is in.
+
+        It may be starting (opening the port resets many boards), running, homing (silent) or deaf after an alarm.
+
+        Raises
+        ------
+        DeviceTimeoutError
+            Nothing answers.
+        ProtocolError
+            Something answers, but not a GRBL controller.
+        """
+        start = time.monotonic()
+        asked, reset = float("-inf"), start
+        noise: list[str] = []
+        while (now := time.monotonic()) < start + self._boot_timeout_s:
+            if now >= asked + 0.3:
+                self._link.write(ASK_STATUS)
+                asked = now
+            if now >= reset + _RESET_AGAIN_S:
+                self._link.write(RESET)
+                reset = now
+            reply = self._next(_SLICE_S)
+            if isinstance(reply, Status):
+                self._quiet()
+                self._synchronised = True
+                return reply
+            if isinstance(reply, Banner):
+                self._quiet()
+                asked = float("-inf")
+            elif isinstance(reply, Other):
+                noise.append(reply.text)
+        fragment = self._link.fragment()
+        if noise or fragment:
+            heard = (noise[-1] if noise else fragment)[:60]
+            raise ProtocolError(
+                f"stage: {self._link.port} answers, but not as GRBL 1.1 does ({heard!r}); "
+                "check stage.port, stage.kind and the baud rate"
+            )
+        raise DeviceTimeoutError(
+            f"stage: no answer from {self._link.port} in {self._boot_timeout_s:g} s; "
+            "check power, stage.port and the baud rate"
+        )
+
+    def reset(self) -> bool:
+        """Reset the controller and wait for its banner; whatever it was doing ends.
+
+        Returns
+        -------
+        bool
+            Whether its position survived: False where it was moving.
+
+        Raises
+        ------
+        DeviceTimeoutError
+            No banner.
+        """
+        self._quiet(0.0)
+        kept = True
+        end = time.monotonic() + self._boot_timeout_s
+        again = float("-inf")
+        while (now := time.monotonic()) < end:
+            if now >= again:
+                self._link.write(RESET)
+                again = now + _RESET_AGAIN_S
+            reply = self._next(_SLICE_S)
+            if isinstance(reply, Alarm):
+                kept = False
+            elif isinstance(reply, Banner):
+                self._quiet()  # after some alarms a second banner follows
+                self._synchronised = True
+                return kept
+        raise DeviceTimeoutError(
+            f"stage: {self._link.port} doesn't come back after a reset; switch the controller off and on, then home"
+        )
+
+    def rest(self, patience_s: float) -> bool:
+        """Bring the stage to a stand, drop whatever it still had to do, and stay ready for commands.
+
+        A feed hold brakes without losing steps, and a reset while held drops the rest of the movement; only a stage
+        that doesn't come to rest in time is reset on the run.
+
+        Parameters
+        ----------
+        patience_s
+            How long braking may take.
+
+        Returns
+        -------
+        bool
+            Whether the controller still knows its position.
+        """
+        end = time.monotonic() + patience_s
+        previous: Status | None = None
+        while time.monotonic() < end:
+            self._link.write(ASK_STATUS)
+            reply = self._next(_ASK_AGAIN_S)
+            while reply is not None and not isinstance(reply, Status | Alarm | Banner):
+                reply = self._next(_ASK_AGAIN_S)
+            if reply is None:
+                continue
+            if not isinstance(reply, Status) or reply.state in ("Alarm", "Sleep", "Home"):
+                self.reset()
+                return False
+            if reply.held:
+                return self.reset()
+            if reply.state in ("Idle", "Check") and previous is not None and previous.state == reply.state:
+                return True
+            if reply.state in ("Run", "Jog"):
+                self._link.write(JOG_CANCEL if reply.state == "Jog" else HOLD)
+            previous = reply
+            time.sleep(0.02)
+        self.reset()
+        return False
+
+    # -- commands and reports ------------------------------------------------------------------------------------
+
+    def command(
+        self,
+        line: str,
+        *,
+        doing: str,
+        timeout_s: float | None = None,
+        watch: Callable[[Status], bool] | None = None,
+        retries: int = 0,
+    ) -> list[Reply]:
+        """Send one line and wait for its ``ok``.
+
+        Parameters
+        ----------
+        line
+            Without its end (a line feed is added; carriage return and line feed would earn two ``ok``).
+        doing
+            What the operator calls it, for messages.
+        timeout_s
+            How long the ``ok`` may take.
+        watch
+            Where given, status reports are asked for meanwhile and shown to it; it returns True when the ``ok`` is
+            overdue. A controller that stops reporting is given up after the reply timeout.
+        retries
+            How often to send it again where noise changed it on its way (it was refused then, not carried out).
+
+        Returns
+        -------
+        list of Reply
+            What was said before the ``ok``: settings, messages.
+
+        Raises
+        ------
+        DeviceTimeoutError, ProtocolError
+            No answer in time; none but noise.
+        AlarmError, PositionLostError, StageError
+            Refused, or interrupted by alarm or reset.
+        StopRequestedError
+            :attr:`stop_requested` said so.
+        """
+        while True:
+            self._resynchronise()
+            self.drain(doing)
+            if not self._link.write(line.encode("ascii") + b"\n", unless=self.stop_requested):
+                raise StopRequestedError
+            self._synchronised = False
+            answer = self._answer(line, doing, timeout_s or self._reply_timeout_s, watch)
+            if not isinstance(answer, Error):
+                return answer
+            if not (refused_as_garbled(answer.code) and retries > 0):
+                raise refusal(answer.code, line)
+            retries -= 1
+
+    def _answer(
+        self, line: str, doing: str, timeout_s: float, watch: Callable[[Status], bool] | None
+    ) -> list[Reply] | Error:
+        said: list[Reply] = []
+        noise: list[str] = []
+        asked = heard = time.monotonic()
+        end = heard + timeout_s
+        while (now := time.monotonic()) < end:
+            if self.stop_requested():
+                raise StopRequestedError
+            if watch is not None:
+                if now - heard > self._reply_timeout_s:
+                    break
+                if now >= asked + 2 * _SLICE_S:
+                    self._link.write(ASK_STATUS)
+                    asked = now
+            match self._next(min(_SLICE_S, end - now)):
+                case Ok():
+                    self._synchronised = True
+                    return said
+                case Error() as error:
+                    self._synchronised = True
+                    return error
+                case Alarm() | Banner() as fault:
+                    raise _fault(fault, doing)
+                case Status() as status:
+                    heard = now
+                    if watch is not None and watch(status):
+                        break
+                case Other(text):
+                    if text != line:
+                        noise.append(text)
+                case None:
+                    pass
+                case reply:
+                    said.append(reply)
+        raise self._no_answer(line, doing, noise)
+
+    def status(self, doing: str) -> Status:
+        """Ask for one report.
+
+        Raises
+        ------
+        DeviceTimeoutError
+            None comes.
+        AlarmError, PositionLostError
+            There is an alarm, or the controller was reset since we last looked.
+        """
+        self.drain(doing)
+        noise: list[str] = []
+        end = time.monotonic() + self._reply_timeout_s
+        again = float("-inf")
+        reports = 0
+        while (now := time.monotonic()) < end:
+            if self.stop_requested():
+                raise StopRequestedError
+            if now >= again:
+                self._link.write(ASK_STATUS)
+                again = now + _ASK_AGAIN_S
+            match self._next(_SLICE_S):
+                case Alarm() | Banner() as fault:
+                    raise _fault(fault, doing)
+                case Status() as status:
+                    reports += 1
+                    if status.machine is not None or self._offset is not None:
+                        return status
+                    if reports < _REPORTS_WITHOUT_OFFSET:
+                        again = float("-inf")
+                        end = now + self._reply_timeout_s
+                case Other(text):
+                    noise.append(text)
+                case _:
+                    pass
+        raise self._no_answer("?", doing, noise)
+
+    def steady(self, doing: str) -> Status:
+        """Ask until two reports in a row agree in state and place, or one says that it moves.
+
+        One report alone may be stale, or changed by noise into another number.
+        """
+        end = time.monotonic() + self._reply_timeout_s
+        previous = self.status(doing)
+        while time.monotonic() < end:
+            status = self.status(doing)
+            if status.state in ("Run", "Jog", "Home") or (
+                status.state == previous.state and self.place(status) == self.place(previous)
+            ):
+                return status
+            previous = status
+        raise ProtocolError(f"stage: reports contradict each other while {doing}: check the cable for noise")
+
+    def place(self, status: Status) -> tuple[float, ...]:
+        """Machine coordinates of a report, in its own unit (work coordinates plus their offset where it has those)."""
+        if status.machine is not None:
+            return status.machine
+        if status.work is None or self._offset is None:
+            raise ProtocolError("stage: a report without a position; set $10=1 in the controller")
+        return tuple(work + offset for work, offset in zip(status.work, self._offset, strict=True))
+
+    def drain(self, doing: str) -> None:
+        """Take what arrived unasked.
+
+        Raises
+        ------
+        AlarmError, PositionLostError
+            There was an alarm or a reset.
+        """
+        while (reply := self._next(0.0)) is not None:
+            if isinstance(reply, Alarm | Banner):
+                raise _fault(reply, doing)
+
+    def _resynchronise(self) -> None:
+        """After an unanswered line its ``ok`` may still come: find an answer that is surely ours."""
+        if self._synchronised:
+            return
+        self._quiet()
+        self._link.write(b"$I\n")
+        end = time.monotonic() + self._reply_timeout_s
+        ours = False
+        while time.monotonic() < end:
+            match self._next(_SLICE_S):
+                case Message("VER", _):
+                    ours = True
+                case Ok() if ours:
+                    self._synchronised = True
+                    return
+                case Error(8):  # not at rest: nothing can be sent anyway
+                    break
+                case Alarm() | Banner() as fault:
+                    raise _fault(fault, "asking for its version")
+                case _:
+                    pass
+        raise self._no_answer("$I", "asking for its version", [])
+
+    def _quiet(self, seconds: float = _QUIET_S) -> None:
+        """Throw away what arrives until nothing more comes."""
+        end = time.monotonic() + 2.0
+        while self._next(seconds) is not None and time.monotonic() < end:
+            pass
+
+    def _next(self, timeout_s: float) -> Reply | None:
+        line = self._link.next_line(timeout_s)
+        if line is None:
+            return None
+        reply = parse(line)
+        if isinstance(reply, Status):
+            self._offset = reply.offset or self._offset
+            self.latest = reply
+        elif isinstance(reply, Banner):
+            self._offset = None
+            self.banner = reply.text
+        return reply
+
+    def _no_answer(self, line: str, doing: str, noise: list[str]) -> RigError:
+        fragment = self._link.fragment()
+        if fragment:
+            noise = [*noise, fragment]
+        if noise:
+            return ProtocolError(
+                f"stage: the answer to {line!r} was garbled or cut off while {doing} ({noise[-1][:60]!r}); "
+                "check cable, ground and baud rate, then try again"
+            )
+        return DeviceTimeoutError(
+            f"stage: no answer to {line!r} in time while {doing}; check power and cable, switch the controller off and "
+            "on, then home"
+        )
+
+
+def _fault(reply: Alarm | Banner, doing: str) -> RigError:
+    if isinstance(reply, Alarm):
+        return alarm_error(reply.code, doing)
+    return RestartedError(
+        f"stage: the controller restarted while {doing} (reset button, power, or another program): the position is "
+        "lost; home the stage"
+    )

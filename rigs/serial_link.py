@@ -1,0 +1,238 @@
+"""A serial line as lines of text with deadlines; the only place that knows pyserial.
+
+One thread reads, so that an unplugged cable is noticed at once and anybody may write at any moment: a stop doesn't
+queue behind a command that waits for its answer. Whatever pyserial or the operating system raises becomes a
+:class:`rigs.errors.RigError` here and nowhere else.
+
+Traffic is logged byte by byte under ``rigs.serial_link`` (level DEBUG).
+"""
+
+from __future__ import annotations
+
+import errno
+import logging
+import re
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from contextlib import suppress
+
+import serial
+from serial.tools import list_ports
+
+from rigs.errors import ConfigError, ConnectionLostError, DeviceBusyError, DeviceNotFoundError, DeviceTimeoutError
+
+_log = logging.getLogger(__name__)
+
+_READ_SLICE_S = 0.1
+_WRITE_TIMEOUT_S = 3.0
+_LONGEST_LINE = 1024
+"""More bytes than this without a line end are noise (a wrong baud rate, mostly)."""
+
+_USB_ID = re.compile(r"usb:([0-9a-fA-F]{4}):([0-9a-fA-F]{4})(?::(.+))?")
+
+
+def find_port(port: str) -> str:
+    """Resolve ``usb:VID:PID`` or ``usb:VID:PID:SERIAL`` to a device path; paths and URLs pass unchanged.
+
+    Raises
+    ------
+    ConfigError
+        No port is given, or it is no USB id.
+    DeviceNotFoundError
+        No such device is plugged in, or several are.
+    """
+    if not port:
+        raise ConfigError(f"stage.port is missing: give a path, usb:VID:PID or a URL; {_ports_found()}")
+    if not port.startswith("usb:"):
+        return port
+    match = _USB_ID.fullmatch(port)
+    if match is None:
+        raise ConfigError(f"stage.port: {port!r} is no USB id; write usb:2341:0043, or usb:2341:0043:SERIAL")
+    vendor, product, serial_number = int(match[1], 16), int(match[2], 16), match[3]
+    found = [
+        info
+        for info in list_ports.comports()
+        if (info.vid, info.pid) == (vendor, product) and serial_number in (None, info.serial_number)
+    ]
+    if not found:
+        raise DeviceNotFoundError(f"stage: {port} is not plugged in; {_ports_found()}")
+    if len(found) > 1:
+        numbers = ", ".join(f"{port}:{info.serial_number}" for info in found)
+        raise DeviceNotFoundError(f"stage: {port} fits {len(found)} devices; name one by its serial number: {numbers}")
+    return str(found[0].device)
+
+
+def _ports_found() -> str:
+    names = [
+        f"{info.device} (usb:{info.vid:04x}:{info.pid:04x})" if info.vid is not None else info.device
+        for info in list_ports.comports()
+    ]
+    return f"serial ports found: {', '.join(names) or 'none'}"
+
+
+def _open(port: str, baud_rate: int) -> serial.Serial:
+    path = find_port(port)
+    try:
+        line = serial.serial_for_url(path, do_not_open=True, baudrate=baud_rate, timeout=_READ_SLICE_S)
+        line.write_timeout = _WRITE_TIMEOUT_S
+        if "://" not in path:
+            line.exclusive = True
+        line.open()
+    except (OSError, ValueError) as error:  # SerialException is an OSError
+        number = getattr(error, "errno", None)
+        if isinstance(error, ValueError):
+            raise ConfigError(f"stage.port: {port!r} can't be opened: {error}") from error
+        if number in (errno.EBUSY, errno.EAGAIN) or "exclusively lock" in str(error):
+            raise DeviceBusyError(f"stage: {path} is used by another program; close it and try again") from error
+        if number in (errno.EACCES, errno.EPERM):
+            raise DeviceNotFoundError(
+                f"stage: no permission for {path}; add yourself to its group (mostly dialout) and log in again"
+            ) from error
+        raise DeviceNotFoundError(
+            f"stage: {path} can't be opened ({error}); check plug, power and stage.port; {_ports_found()}"
+        ) from error
+    return line
+
+
+class SerialLink:
+    """An open serial line.
+
+    Parameters
+    ----------
+    port
+        Device path, ``usb:VID:PID[:SERIAL]``, or a pyserial URL (``socket://host:port``, ``rfc2217://host:port``).
+    baud_rate
+        Bits per second; meaningless for ``socket://``.
+
+    Raises
+    ------
+    ConfigError
+        The port is no port.
+    DeviceNotFoundError
+        There is no such device, or no permission.
+    DeviceBusyError
+        Another program holds it.
+    """
+
+    def __init__(self, port: str, baud_rate: int) -> None:
+        self.port = port
+        self._line = _open(port, baud_rate)
+        self._writing = threading.Lock()
+        self._arrived = threading.Condition()
+        self._lines: deque[str] = deque()
+        self._fragment = b""
+        self._loss: str | None = None
+        self._closing = False
+        self._reader = threading.Thread(target=self._read, name=f"serial {port}", daemon=True)
+        self._reader.start()
+
+    def write(self, data: bytes, *, unless: Callable[[], bool] = lambda: False) -> bool:
+        """Send bytes now, whoever else waits for answers.
+
+        Parameters
+        ----------
+        data
+            What to send.
+        unless
+            Asked when nobody else writes: True withholds the bytes. A stop that came just before is never overtaken.
+
+        Returns
+        -------
+        bool
+            Whether the bytes were sent.
+
+        Raises
+        ------
+        ConnectionLostError
+            The line is gone.
+        DeviceTimeoutError
+            The line takes no more bytes.
+        """
+        with self._writing:
+            if unless():
+                return False
+            if self._closing:
+                raise ConnectionLostError(f"stage: {self.port} is closed")
+            if self._loss is not None:
+                raise self._lost(self._loss)
+            _log.debug("%s > %r", self.port, data)
+            try:
+                self._line.write(data)
+            except serial.SerialTimeoutException as error:
+                raise DeviceTimeoutError(f"stage: {self.port} takes no bytes; check its cable and power") from error
+            except OSError as error:
+                self._lose(str(error))
+                raise self._lost(str(error)) from error
+        return True
+
+    def next_line(self, timeout_s: float) -> str | None:
+        """Take the oldest line that has arrived, without its end; None where none comes in time.
+
+        Bytes outside ASCII are shown as ``\\xNN``.
+
+        Raises
+        ------
+        ConnectionLostError
+            The line is gone, and what had arrived before is used up.
+        """
+        deadline = time.monotonic() + timeout_s
+        with self._arrived:
+            while not self._lines:
+                if self._loss is not None:
+                    raise self._lost(self._loss)
+                left = deadline - time.monotonic()
+                if left <= 0:
+                    return None
+                self._arrived.wait(left)
+            return self._lines.popleft()
+
+    def fragment(self) -> str:
+        """Return the beginning of a line whose end hasn't arrived."""
+        with self._arrived:
+            return _text(self._fragment)
+
+    def close(self) -> None:
+        """Close the line; safe to call twice."""
+        self._closing = True
+        if threading.current_thread() is not self._reader:
+            self._reader.join()
+        with self._writing, suppress(OSError):
+            self._line.close()
+
+    def _read(self) -> None:
+        while not self._closing:
+            try:
+                data = self._line.read(1)
+                if data:
+                    data += self._line.read(self._line.in_waiting)
+            except (OSError, TypeError, AttributeError) as error:  # the last two: pyserial, closed under its feet
+                self._lose(str(error))
+                return
+            if data:
+                _log.debug("%s < %r", self.port, data)
+                self._take(data)
+
+    def _take(self, data: bytes) -> None:
+        with self._arrived:
+            *lines, self._fragment = (self._fragment + data).split(b"\n")
+            self._lines.extend(_text(line) for line in lines if line.strip())
+            if len(self._fragment) > _LONGEST_LINE:
+                self._lines.append(_text(self._fragment))
+                self._fragment = b""
+            self._arrived.notify_all()
+
+    def _lose(self, why: str) -> None:
+        with self._arrived:
+            self._loss = self._loss or why
+            self._arrived.notify_all()
+
+    def _lost(self, why: str) -> ConnectionLostError:
+        return ConnectionLostError(
+            f"stage: connection to {self.port} is lost ({why}); plug it in, start again, and home the stage"
+        )
+
+
+def _text(line: bytes) -> str:
+    return line.strip(b"\r\n\0 ").decode("ascii", "backslashreplace")
