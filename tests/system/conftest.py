@@ -25,6 +25,7 @@ def undrawn_figures(small_sensor: None, lab: Path, monkeypatch: pytest.MonkeyPat
 
 
 PLAN = ("--from", "80cm", "--to", "280cm", "--step", "25cm", "--repeats", "1")
+FEW = ("--from", "80cm", "--to", "230cm", "--step", "50cm", "--repeats", "1")
 
 
 @pytest.fixture(scope="session")
@@ -35,6 +36,21 @@ def lab(tmp_path_factory: pytest.TempPathFactory) -> Path:
     done("-C", root, "calibrate", *PLAN)
     done("-C", root, "capture", "--roi", "20,20,96,96", "--method", "sharpness")
     return root
+
+
+@pytest.fixture(scope="session")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A project with a session that nothing disturbed."""
+    root = tmp_path_factory.mktemp("finished")
+    done("init", root)
+    done("-C", root, "calibrate", *FEW)
+    return root
+
+
+@pytest.fixture(scope="session")
+def wanted(finished: Path) -> str:
+    """Its bank's id."""
+    return str(done("-C", finished, "bank", "show", "--json").only["id"])
 
 
 @pytest.fixture(scope="session")

@@ -11,29 +11,14 @@ from pathlib import Path
 
 import pytest
 from command_line import arguments, call, done, listing, refused
+from conftest import FEW
 
 from rigs.protocols import CaptureResult, Exposure
 from rigs.simulated.devices import SimulatedCamera
 
 pytestmark = pytest.mark.xdist_group("system")
 
-FEW = ("--from", "80cm", "--to", "230cm", "--step", "50cm", "--repeats", "1")
 SHOTS = 8
-
-
-@pytest.fixture(scope="module")
-def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A project with a session that nothing disturbed."""
-    root = tmp_path_factory.mktemp("finished")
-    done("init", root)
-    done("-C", root, "calibrate", *FEW)
-    return root
-
-
-@pytest.fixture(scope="module")
-def wanted(finished: Path) -> str:
-    """Its bank's id."""
-    return str(done("-C", finished, "bank", "show", "--json").only["id"])
 
 
 @pytest.fixture
