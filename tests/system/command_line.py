@@ -23,6 +23,8 @@ from workbench.cli.common import run
 
 SENSOR = (416, 624)
 """Photosites (height, width) of the simulated camera in these tests: a small part of the small preset's."""
+PLAN = ("--from", "80cm", "--to", "280cm", "--step", "25cm", "--repeats", "1")
+FEW = ("--from", "80cm", "--to", "230cm", "--step", "50cm", "--repeats", "1")
 ENTRY = f"""
 import sys
 from rigs.simulated import world

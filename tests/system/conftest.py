@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from command_line import SENSOR, done
+from command_line import FEW, PLAN, SENSOR, done
 
 from rigs.simulated import world
 from workbench.figures import style
@@ -22,10 +22,6 @@ def small_sensor() -> Iterator[None]:
 def undrawn_figures(small_sensor: None, lab: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The lab's reports have their figures; drawing those of every test's reports again would take minutes."""
     monkeypatch.setattr(style, "to_bytes", lambda figure, *_, **__: b"")
-
-
-PLAN = ("--from", "80cm", "--to", "280cm", "--step", "25cm", "--repeats", "1")
-FEW = ("--from", "80cm", "--to", "230cm", "--step", "50cm", "--repeats", "1")
 
 
 @pytest.fixture(scope="session")

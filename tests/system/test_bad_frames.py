@@ -10,8 +10,6 @@ import numpy as np
 import pytest
 from command_line import SENSOR, TAGS, call, dng, listing, refused, spots
 
-pytestmark = pytest.mark.xdist_group("system")
-
 VICTIM = "psf_130cm.dng"
 DARK = "dark.dng"
 

@@ -14,8 +14,6 @@ from command_line import call, done, listing, refused
 
 from calibration.bank import Bank, load_bank
 
-pytestmark = pytest.mark.xdist_group("system")
-
 
 def _bank_directory(project: Path) -> Path:
     (directory,) = (path for path in (project / "banks").iterdir() if path.is_dir())

@@ -5,10 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from command_line import call, done, listing
-from conftest import FEW, PLAN
-
-pytestmark = pytest.mark.xdist_group("system")
+from command_line import FEW, PLAN, call, done, listing
 
 
 def test_the_lens_fit_finds_focus_and_stage_zero_of_the_simulated_rig(lab: Path) -> None:

@@ -15,8 +15,6 @@ from command_line import call, done, listing, refused
 from calibration.build import PointFrame
 from workbench import calibrate
 
-pytestmark = pytest.mark.xdist_group("system")
-
 QUICK = ("--roi", "0,0,64,64", "--method", "sharpness", "--set", "iterations=2")
 FEW = ("--from", "80cm", "--to", "180cm", "--step", "50cm", "--repeats", "1")
 

@@ -15,8 +15,6 @@ from command_line import SENSOR, TAGS, call, dng, done, listing, refused, spots
 
 from calibration.raw import develop
 
-pytestmark = pytest.mark.xdist_group("system")
-
 QUICK = ("--method", "sharpness", "--set", "iterations=4")
 FIELDS = {
     "id", "depth_mm", "interval_mm", "confidence", "mirror_mm", "mirror_probability", "second_mm", "pixels", "status",

@@ -15,8 +15,6 @@ from command_line import arguments, call, done, listing, refused, spawn
 
 from workbench.project import Project, create_project
 
-pytestmark = pytest.mark.xdist_group("system")
-
 QUICK = ("--roi", "0,0,64,64", "--method", "sharpness", "--set", "iterations=2")
 
 
