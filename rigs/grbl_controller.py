@@ -33,7 +33,7 @@ _SLICE_S = 0.05
 _ASK_AGAIN_S = 0.5
 _RESET_AGAIN_S = 2.5
 """A boot loader is deaf for about 1.6 s; sooner than this a second attempt would only disturb."""
-_QUIET_S = 0.15
+_QUIET_S = 0.1
 _REPORTS_WITHOUT_OFFSET = 60
 """GRBL sends the work offset with every tenth report at rest, every thirtieth in motion."""
 
@@ -268,9 +268,11 @@ class GrblController:
                     self._synchronised = True
                     return error
                 case Alarm() | Banner() as fault:
-                    raise _fault(fault, doing)
+                    raise StopRequestedError if self.stop_requested() else _fault(fault, doing)
                 case Status() as status:
                     heard = now
+                    if status.rest:
+                        noise.append(status.rest)
                     if watch is not None and watch(status):
                         break
                 case Other(text):
@@ -305,7 +307,7 @@ class GrblController:
                 again = now + _ASK_AGAIN_S
             match self._next(_SLICE_S):
                 case Alarm() | Banner() as fault:
-                    raise _fault(fault, doing)
+                    raise StopRequestedError if self.stop_requested() else _fault(fault, doing)
                 case Status() as status:
                     reports += 1
                     if status.machine is not None or self._offset is not None:

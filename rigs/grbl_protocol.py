@@ -83,6 +83,8 @@ class Status:
     """Work coordinate offset; comes with some reports only."""
     pins: str = ""
     fields: Mapping[str, str] = field(default_factory=dict)
+    rest: str = ""
+    """What stood in front of it on its line: the rest of a torn reply, or noise."""
 
     @property
     def held(self) -> bool:
@@ -117,7 +119,8 @@ def parse(line: str) -> Reply:
 
 def _status(line: str) -> Status | None:
     # A torn report may have run into the next one: the last '<' begins the whole one.
-    head, *parts = line[line.rindex("<") + 1 : -1].split("|")
+    start = line.rindex("<")
+    head, *parts = line[start + 1 : -1].split("|")
     state, _, substate = head.partition(":")
     if state not in _STATES or (substate and not substate.isdigit()):
         return None
@@ -139,4 +142,5 @@ def _status(line: str) -> Status | None:
         offset=vectors.get("WCO"),
         pins=fields.get("Pn", ""),
         fields=fields,
+        rest=line[:start],
     )

@@ -320,8 +320,8 @@ class GrblStage:
                         f"stage: stands still at {position_mm:g} mm instead of {target_mm:g} mm: noise on the line, or "
                         "another program; check the cable, then try again"
                     )
-            else:
-                idle_since = None
+                continue
+            idle_since = None
             if now > end:
                 raise DeviceTimeoutError(
                     f"stage: not arrived while {doing} in the time that speed and acceleration allow; check motor "

@@ -25,7 +25,7 @@ from rigs.errors import ConfigError, ConnectionLostError, DeviceBusyError, Devic
 
 _log = logging.getLogger(__name__)
 
-_READ_SLICE_S = 0.1
+_READ_SLICE_S = 0.05
 _WRITE_TIMEOUT_S = 3.0
 _LONGEST_LINE = 1024
 """More bytes than this without a line end are noise (a wrong baud rate, mostly)."""

@@ -485,7 +485,8 @@ class GrblFirmware:
             (-towards * pull_off, feed, False),
         ]
         for distance, speed, approach in legs:
-            self._motion = Trapezoid(self.now, self.machine_mm, self.machine_mm + distance, speed, self.settings[120])
+            self.machine_mm = 0.0  # each leg counts anew
+            self._motion = Trapezoid(self.now, 0.0, distance, speed, self.settings[120])
             while self._motion is not None and not (approach and self.rail.switch_closed):
                 yield
                 if "reset" in self._flags:

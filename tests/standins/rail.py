@@ -41,23 +41,28 @@ class Trapezoid:
 
 @dataclass(frozen=True)
 class Braking:
-    """From a speed to rest."""
+    """From a speed to rest; the firmware notices the end when its segment buffer has run dry."""
 
     start_s: float
     start_mm: float
     speed: float
     acceleration: float
+    segments_s: float = 0.06
 
     @property
     def end_s(self) -> float:
+        return self._rest_s + self.segments_s
+
+    @property
+    def _rest_s(self) -> float:
         return self.start_s + abs(self.speed) / self.acceleration
 
     def at(self, now_s: float) -> tuple[float, float]:
         sign = math.copysign(1.0, self.speed)
-        t = min(now_s, self.end_s) - self.start_s
+        t = min(now_s, self._rest_s) - self.start_s
         speed = self.speed - sign * self.acceleration * t
         position = self.start_mm + self.speed * t - sign * self.acceleration * t**2 / 2
-        return position, speed if now_s < self.end_s else 0.0
+        return position, speed if now_s < self._rest_s else 0.0
 
 
 Motion = Trapezoid | Braking
