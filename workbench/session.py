@@ -14,12 +14,15 @@ session early, the stage is stopped first.
 
 from __future__ import annotations
 
+import signal
+import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from dataclasses import asdict
 from itertools import groupby
 from pathlib import Path
+from types import FrameType
 from typing import Any
 
 from rigs.errors import CaptureError, NotAcknowledgedError, RigError
@@ -64,6 +67,36 @@ def load_plan(directory: Path) -> Plan:
         raise InputError(f"{path}: damaged plan; start a new session with `workbench calibrate`") from None
 
 
+class StopRequest:
+    """Ctrl-C that can't get lost: an interrupt that some library swallows in a callback still counts at the next shot."""
+
+    def __init__(self) -> None:
+        self._asked = False
+
+    @contextmanager
+    def heard(self) -> Iterator[None]:
+        """Listen to SIGINT; does nothing outside the main thread, which alone may."""
+        if threading.current_thread() is not threading.main_thread():
+            yield
+            return
+
+        def ask(_signal: int, _frame: FrameType | None) -> None:
+            self._asked = True
+            raise KeyboardInterrupt
+
+        before = signal.signal(signal.SIGINT, ask)
+        try:
+            yield
+            self.check()
+        finally:
+            signal.signal(signal.SIGINT, before)
+
+    def check(self) -> None:
+        """Raise KeyboardInterrupt if one was asked for."""
+        if self._asked:
+            raise KeyboardInterrupt
+
+
 class SessionRunner:
     """Runs one plan on one rig, from wherever the journal stands."""
 
@@ -72,6 +105,7 @@ class SessionRunner:
         self._observer, self._check = observer, check
         self._shots = list(plan.shots())
         self._done: dict[str, dict[str, Any]] = {}
+        self._stop = StopRequest()
         self._started = time.monotonic()
         self._done_at_start = 0
 
@@ -91,7 +125,8 @@ class SessionRunner:
         try:
             self._open(journal)
             try:
-                self._take_all(journal)
+                with self._stop.heard():
+                    self._take_all(journal)
             except BaseException as error:
                 with suppress(RigError):
                     self._rig.stage.stop()
@@ -137,6 +172,7 @@ class SessionRunner:
             position = self._rig.stage.move_to_mm(self._rig.axis.position_mm(depth_mm))
             journal.append("moved", depth_mm=depth_mm, position_mm=round(position, 4))
             for shot in shots:
+                self._stop.check()
                 exposure = self._exposure(journal, shot)
                 self._take(journal, shot, exposure, position)
 
