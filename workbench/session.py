@@ -68,7 +68,7 @@ def load_plan(directory: Path) -> Plan:
 
 
 class StopRequest:
-    """Ctrl-C that can't get lost: an interrupt that some library swallows in a callback still counts at the next shot."""
+    """Ctrl-C that can't get lost: one that a library swallows in a callback still counts at the next shot."""
 
     def __init__(self) -> None:
         self._asked = False
