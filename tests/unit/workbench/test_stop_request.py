@@ -6,13 +6,17 @@ import pytest
 from workbench.session import StopRequest
 
 
-def test_an_interrupt_that_is_swallowed_still_counts_at_the_next_check() -> None:
-    stop = StopRequest()
-    with pytest.raises(KeyboardInterrupt), stop.heard():
+def _swallow_an_interrupt(stop: StopRequest) -> None:
+    with stop.heard():
         with contextlib.suppress(KeyboardInterrupt):  # as a callback from compiled code does
             signal.raise_signal(signal.SIGINT)
         stop.check()
         pytest.fail("the interrupt was lost")
+
+
+def test_an_interrupt_that_is_swallowed_still_counts_at_the_next_check() -> None:
+    with pytest.raises(KeyboardInterrupt):
+        _swallow_an_interrupt(StopRequest())
 
 
 def test_the_handler_of_before_is_back_afterwards() -> None:
