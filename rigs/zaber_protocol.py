@@ -1,0 +1,125 @@
+"""Messages of the Zaber ASCII protocol, version 2, as values. No hardware here.
+
+Request ``/1 1 07 move abs 12345:4C``: device, axis, message id, command, checksum. Reply
+``@01 1 07 OK BUSY -- 0``: device, axis, message id, taken or rejected, moving or not, most important warning, data.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+from rigs.errors import ConfigError, DeviceBusyError, LimitError, NotHomedError, ProtocolError, RigError, StageError
+
+_REPLY = re.compile(r"@(\d\d) (\d) (\d\d) (OK|RJ) (BUSY|IDLE) (--|[A-Z][A-Z0-9]) ?(.*)")
+
+NO_REFERENCE = frozenset({"WR", "WH"})
+"""Warnings that say: home first."""
+
+POSITION_LOST = {
+    "FS": ("stalled and stopped, it may have lost steps", "look what blocks the carriage, then home"),
+    "WL": ("hit a limit sensor unexpectedly", "look why the carriage got there, then home"),
+    "FQ": ("encoder error", "check the encoder's cable, then home"),
+    "FI": ("encoder index error", "home the stage"),
+}
+FAULTS = {
+    "FF": ("critical system error", "switch it off and on; if it stays, ask Zaber"),
+    "FN": ("peripheral not supported", "check which stage is plugged into the controller"),
+    "FZ": ("peripheral not active", "activate it in Zaber Launcher"),
+    "FH": ("emergency stop pressed", "release it, then home"),
+    "FV": ("supply voltage out of range", "check the power supply, then home"),
+    "FO": ("motor driver switched off", "switch it on in Zaber Launcher, then home"),
+    "FC": ("inrush current too high", "check the power supply, switch it off and on, then home"),
+    "FM": ("motor too hot", "let it cool, then home"),
+    "FD": ("motor driver switched itself off", "check power and load, switch it off and on, then home"),
+    "FA": ("encoder synchronisation error", "switch it off and on, then home"),
+    "FR": ("overdrive limit exceeded", "lower the load or the acceleration, then home"),
+    "FE": ("limit error: the target can't be reached", "check limit.min and limit.max, then home"),
+    "FT": ("excessive twist", "check the lockstep axes, then home"),
+    "FB": ("stream bounds error", "close the other program, then home"),
+    "FP": ("path deviation", "close the other program, then home"),
+    "NC": ("moved by its knob", "leave the knob alone (or set knob.enable 0), then try again"),
+    "NB": ("in firmware update mode", "finish the update"),
+}
+
+_REJECTIONS: dict[str, tuple[type[RigError], str, str]] = {
+    "BADAXIS": (ConfigError, "has no such axis", "correct stage.axis"),
+    "BADCOMMAND": (ProtocolError, "doesn't know this command", "its firmware may be too old: 6.06 or newer is needed"),
+    "BADDATA": (LimitError, "can't take this value", "it is outside the device's limits"),
+    "BADMESSAGEID": (ProtocolError, "got a damaged message", "check the cable"),
+    "NOACCESS": (StageError, "doesn't allow it at its access level", "see system.access"),
+    "PARKED": (StageError, "is parked", "unpark or home it in Zaber Launcher"),
+    "STATUSBUSY": (DeviceBusyError, "is moving", "wait, or close the other program"),
+    "AGAIN": (DeviceBusyError, "can't do it just now", "try again"),
+    "BUSY": (DeviceBusyError, "is busy", "wait, or close the other program"),
+    "FULL": (DeviceBusyError, "has a full queue", "try again"),
+    "LOCKSTEP": (StageError, "drives this axis in lockstep with another", "command the lockstep group, or dissolve it"),
+    "REMOTE": (StageError, "is under remote control", "hand control back"),
+    "DRIVERDISABLED": (StageError, "has its motor driver off", "switch it on, then home"),
+    "NOREF": (NotHomedError, "has no reference", "home the stage"),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Reply:
+    """Answer to one request."""
+
+    device: int
+    axis: int
+    message_id: int
+    accepted: bool
+    busy: bool
+    warning: str
+    """Most important warning flag, empty where there is none."""
+    data: str
+
+
+def checksum(body: str) -> str:
+    """Longitudinal redundancy check of everything after the first character: two's complement of the sum of bytes."""
+    return f"{-sum(body.encode('ascii')) & 0xFF:02X}"
+
+
+def request(device: int, axis: int, message_id: int, command: str) -> bytes:
+    """Bytes of a request; an empty command asks for the state."""
+    body = f"{device} {axis} {message_id:02d} {command}".rstrip()
+    return f"/{body}:{checksum(body)}\n".encode("ascii")
+
+
+def parse(line: str) -> Reply | None:
+    """Read a reply; None for alerts (``!``), information (``#``) and anything that isn't whole.
+
+    Replies carry a checksum only where the device is set so (``comm.checksum``); a wrong one makes the line unreadable.
+    """
+    start = line.rfind("@")
+    if start < 0:
+        return None
+    line = line[start:]
+    if re.search(r":[0-9A-F]{2}$", line):
+        line, _, check = line.rpartition(":")
+        if checksum(line[1:]) != check:
+            return None
+    match = _REPLY.fullmatch(line)
+    if match is None:
+        return None
+    return Reply(
+        device=int(match[1]),
+        axis=int(match[2]),
+        message_id=int(match[3]),
+        accepted=match[4] == "OK",
+        busy=match[5] == "BUSY",
+        warning="" if match[6] == "--" else match[6],
+        data=match[7],
+    )
+
+
+def is_unasked(line: str) -> bool:
+    """Whether a line is an alert or information, sent without a request."""
+    return line.startswith(("!", "#"))
+
+
+def rejection(command: str, reason: str) -> RigError:
+    """Error for a rejected command."""
+    kind, meaning, way_out = _REJECTIONS.get(
+        reason, (StageError, "rejected the command", "see the device's protocol manual")
+    )
+    return kind(f"stage: the device {meaning} ({command!r}: {reason}); {way_out}")

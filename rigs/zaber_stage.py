@@ -1,0 +1,442 @@
+"""A stage that speaks Zaber ASCII.
+
+The device knows whether it has a reference (warnings WR and WH), keeps positions over a reconnected cable, and numbers
+its replies; so the driver asks it instead of remembering. A reply that comes late or belongs to another message is
+never taken for the one that is waited for.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+
+from rigs.errors import (
+    ConfigError,
+    ConnectionLostError,
+    DeviceBusyError,
+    DeviceTimeoutError,
+    LimitError,
+    NotHomedError,
+    PositionLostError,
+    ProtocolError,
+    RigError,
+    StageError,
+    StoppedError,
+)
+from rigs.motion import braking_time_s, move_time_s
+from rigs.protocols import DeviceIdentity
+from rigs.serial_link import SerialLink
+from rigs.zaber_protocol import (
+    FAULTS,
+    NO_REFERENCE,
+    POSITION_LOST,
+    Reply,
+    is_unasked,
+    parse,
+    rejection,
+    request,
+)
+
+_POLL_S = 0.03
+_TRIES = 2
+"""A message may be lost or damaged on its way; every command of ours may be sent twice, for its target is absolute."""
+_SPEED_UNIT = 1.6384
+"""Speeds are in microsteps / 1.6384 s, accelerations in 10000 microsteps / (1.6384 s s) (Zaber ASCII manual, units)."""
+_FULL_STEP = 64
+"""Data sheets give the microstep size at this ``resolution``."""
+
+
+@dataclass(frozen=True, slots=True)
+class ZaberSettings:
+    """How to reach the device and to read its numbers.
+
+    Attributes
+    ----------
+    port
+        Device path, ``usb:VID:PID[:SERIAL]``, or a URL (``socket://host:55551``).
+    microstep_mm
+        Travel of one microstep as the data sheet states it, at the default resolution of 64 (mm).
+    baud_rate
+        Bits per second.
+    device, axis
+        Address in the chain, and axis of the controller.
+    speed_mm_s
+        Highest speed of moves (mm/s), sent along with each (firmware 7.25 or newer); None: the device's ``maxspeed``.
+    limits_mm
+        Smallest and largest position to use; None: the device's own limits.
+    tolerance_mm
+        How far from the target a finished move may end; None: two microsteps, at least 5 micrometres.
+    reply_timeout_s
+        How long an answer may take.
+    patience
+        Deadlines of movements are this many times what distance, speed and acceleration make of them.
+    """
+
+    port: str
+    microstep_mm: float
+    baud_rate: int = 115200
+    device: int = 1
+    axis: int = 1
+    speed_mm_s: float | None = None
+    limits_mm: tuple[float, float] | None = None
+    tolerance_mm: float | None = None
+    reply_timeout_s: float = 2.0
+    patience: float = 2.0
+
+
+class ZaberStage:
+    """A stage on Zaber ASCII; opens the port (see :class:`rigs.protocols.Stage`).
+
+    Raises
+    ------
+    ConfigError
+        Settings that can't be, or an axis that isn't there.
+    DeviceNotFoundError, DeviceBusyError, DeviceTimeoutError, ProtocolError
+        Nothing there, somebody else's, silent, or another protocol.
+    """
+
+    def __init__(self, settings: ZaberSettings) -> None:
+        _check(settings)
+        self._settings = settings
+        self._asking, self._moving = threading.Lock(), threading.RLock()
+        self._message_id = 0
+        self._stops = 0
+        self._was_known = self._closed = False
+        self._link = SerialLink(settings.port, settings.baud_rate)
+        try:
+            self._read_device()
+        except BaseException:
+            self._link.close()
+            raise
+
+    def _read_device(self) -> None:
+        settings = self._settings
+        resolution = self._optional("resolution", settings.axis)
+        self._step_mm = settings.microstep_mm * (_FULL_STEP / resolution if resolution else 1.0)
+        own = (self._number("limit.min") * self._step_mm, self._number("limit.max") * self._step_mm)
+        self._travel_mm = own[1] - own[0]
+        low, high = settings.limits_mm or own
+        self._limits_mm = max(low, own[0]), min(high, own[1])
+        if not self._limits_mm[0] < self._limits_mm[1]:
+            raise ConfigError(
+                f"stage.limits: {low:g} to {high:g} mm lie outside the device's own, {own[0]:g} to {own[1]:g} mm; "
+                "correct stage.limits or stage.microstep"
+            )
+        max_speed = self._number("maxspeed") / _SPEED_UNIT * self._step_mm
+        self._speed_mm_s = min(settings.speed_mm_s or math.inf, max_speed)
+        acceleration = self._number("accel") * 1e4 / _SPEED_UNIT * self._step_mm
+        self._acceleration_mm_s2 = acceleration or 1e4 * max_speed  # 0 means: at once
+        approach = self._optional("limit.approach.maxspeed", settings.axis)
+        self._homing_speed_mm_s = (
+            (approach or max_speed * _SPEED_UNIT / self._step_mm / 4) / _SPEED_UNIT * self._step_mm
+        )
+        self._firmware = self._ask("get version", axis=0).data
+        self._serial = self._text("system.serial")
+        self._device_id = self._text("device.id") or self._text("deviceid")
+
+    def identify(self) -> DeviceIdentity:
+        """Device id, serial number and firmware."""
+        low, high = self._limits_mm
+        return DeviceIdentity(
+            kind="zaber",
+            make="Zaber",
+            model=f"device id {self._device_id}" if self._device_id else "",
+            serial=self._serial,
+            firmware=self._firmware,
+            extra={
+                "port": self._settings.port,
+                "address": f"{self._settings.device} {self._settings.axis}",
+                "microstep": f"{self._step_mm:g} mm",
+                "limits": f"{low:g} to {high:g} mm",
+                "max speed": f"{self._speed_mm_s:g} mm/s",
+            },
+        )
+
+    def limits_mm(self) -> tuple[float, float]:
+        """Positions that may be commanded."""
+        return self._limits_mm
+
+    def travel_time_s(self, distance_mm: float) -> float:
+        """Duration of a move by speed and acceleration, and of the replies that confirm it."""
+        return move_time_s(distance_mm, self._speed_mm_s, self._acceleration_mm_s2) + 0.1
+
+    def homed(self) -> bool:
+        """Whether the device has a reference and nothing speaks against it."""
+        if self._closed:
+            return False
+        try:
+            flags = self._flags()
+        except RigError:
+            self._was_known = False
+            return False
+        known = not flags & (NO_REFERENCE | POSITION_LOST.keys())
+        self._was_known = self._was_known or known
+        return known
+
+    def position_mm(self) -> float:
+        """Position that the device reports.
+
+        Raises
+        ------
+        NotHomedError
+            It has no reference (PositionLostError: not any more).
+        """
+        self._require_reference()
+        return self._position_mm()
+
+    def home(self) -> None:
+        """Find the reference.
+
+        Raises
+        ------
+        StageError
+            The device reports a fault.
+        DeviceTimeoutError
+            Not done in the time that travel and speed allow.
+        StoppedError
+            Somebody stopped it.
+        """
+        stops = self._stops
+        with self._moving, self._braking_on_failure():
+            self._was_known = False
+            self._ask("warnings clear", stops=stops)
+            self._ask("home", stops=stops)
+            expected_s = 1.2 * self._travel_mm / self._homing_speed_mm_s + 5.0
+            self._wait("homing", stops, time.monotonic() + self._settings.patience * expected_s)
+            if self._flags() & NO_REFERENCE:
+                raise StageError("stage: no reference after homing; check the home sensor, then home again")
+            self._was_known = True
+
+    def move_to_mm(self, position_mm: float) -> float:
+        """Move there and wait until it stands still at the target.
+
+        Parameters
+        ----------
+        position_mm
+            Position within :meth:`limits_mm`.
+
+        Returns
+        -------
+        float
+            Position as reported.
+
+        Raises
+        ------
+        LimitError
+            Out of limits; nothing was sent.
+        NotHomedError, PositionLostError
+            No reference; nothing moved.
+        StageError, StoppedError, DeviceTimeoutError, ProtocolError, ConnectionLostError
+            It went wrong on the way.
+        """
+        stops = self._stops
+        low, high = self._limits_mm
+        if not low - 1e-6 <= position_mm <= high + 1e-6:
+            raise LimitError(
+                f"stage: {position_mm:g} mm is outside its travel ({low:g} to {high:g} mm); shorten the plan, or "
+                "correct stage.limits"
+            )
+        with self._moving:
+            self._require_reference()
+            if self._ask("").busy:
+                raise DeviceBusyError("stage: the device is moving on somebody else's command; close that program")
+            expected_s = self.travel_time_s(position_mm - self._position_mm())
+            command = f"move abs {round(position_mm / self._step_mm)}"
+            if self._settings.speed_mm_s is not None:
+                command += f" {round(self._speed_mm_s / self._step_mm * _SPEED_UNIT)}"
+            doing = f"moving to {position_mm:g} mm"
+            with self._braking_on_failure():
+                self._ask(command, stops=stops)
+                end = time.monotonic() + self._settings.patience * expected_s + self._settings.reply_timeout_s
+                self._wait(doing, stops, end)
+                reached_mm = self._position_mm()
+            tolerance_mm = self._settings.tolerance_mm or max(2 * self._step_mm, 0.005)
+            if abs(reached_mm - position_mm) > tolerance_mm:
+                raise StageError(
+                    f"stage: stands still at {reached_mm:g} mm instead of {position_mm:g} mm: another program, or "
+                    "something in the way; look at the carriage, then try again"
+                )
+            return reached_mm
+
+    def stop(self) -> None:
+        """Brake now; the position stays known. For any thread, at any time. Returns when the stage stands.
+
+        Raises
+        ------
+        ConnectionLostError, DeviceTimeoutError
+            The device can't be reached: cut its power.
+        """
+        self._stops += 1
+        if self._closed:
+            return
+        self._link.write(request(self._settings.device, self._settings.axis, self._next_id(), "stop"))
+        end = time.monotonic() + 3 * braking_time_s(self._speed_mm_s, self._acceleration_mm_s2) + 3.0
+        while self._ask("").busy:
+            if time.monotonic() > end:
+                raise DeviceTimeoutError("stage: doesn't come to rest; cut its power")
+            time.sleep(_POLL_S)
+
+    def close(self) -> None:
+        """Release the port; a movement under way is braked."""
+        if self._closed:
+            return
+        if not self._moving.acquire(blocking=False):
+            with suppress(RigError):
+                self.stop()
+        else:
+            self._moving.release()
+        self._closed = True
+        self._link.close()
+
+    # -- talking -------------------------------------------------------------------------------------------------
+
+    def _wait(self, doing: str, stops: int, end: float) -> None:
+        """Poll until the device is idle, without a fault."""
+        while True:
+            reply = self._ask("")
+            if not reply.busy:
+                break
+            if time.monotonic() > end:
+                raise DeviceTimeoutError(
+                    f"stage: not done while {doing} in the time that speed and acceleration allow; check load, "
+                    "maxspeed and accel"
+                )
+            time.sleep(_POLL_S)
+        flags = self._flags()
+        for table, kind in ((POSITION_LOST, PositionLostError), (FAULTS, StageError)):
+            for flag in sorted(flags & table.keys()):
+                what, way_out = table[flag]
+                raise kind(f"stage: {what} ({flag}) while {doing}; {way_out}")
+        if self._stops != stops or "NI" in flags:
+            known = "its position is still known" if not flags & NO_REFERENCE else "home the stage"
+            raise StoppedError(f"stage: stopped while {doing}; {known}")
+
+    def _require_reference(self) -> None:
+        if self._closed:
+            raise NotHomedError("stage: the connection is closed; open it again")
+        flags = self._flags()
+        for flag in sorted(flags & POSITION_LOST.keys()):
+            what, way_out = POSITION_LOST[flag]
+            raise PositionLostError(f"stage: {what} ({flag}); {way_out}")
+        if flags & NO_REFERENCE:
+            if self._was_known:
+                raise PositionLostError("stage: the device was restarted and lost its reference; home the stage")
+            raise NotHomedError("stage: the device has no reference; home the stage")
+        for flag in sorted(flags & FAULTS.keys() - {"NC"}):
+            what, way_out = FAULTS[flag]
+            raise StageError(f"stage: {what} ({flag}); {way_out}")
+        self._was_known = True
+
+    def _flags(self) -> frozenset[str]:
+        """All warnings; a reply's own field shows only the most important one."""
+        return frozenset(self._ask("warnings").data.split()[1:])
+
+    def _position_mm(self) -> float:
+        """Position from two equal answers: without a checksum a digit may be changed by noise."""
+        previous = None
+        for _ in range(10):
+            steps = self._number("pos")
+            if steps == previous or self._ask("").busy:
+                return steps * self._step_mm
+            previous = steps
+        raise ProtocolError("stage: positions contradict each other at rest: check the cable for noise")
+
+    def _number(self, setting: str) -> float:
+        data = self._ask(f"get {setting}").data
+        try:
+            return float(data.split()[0])
+        except (ValueError, IndexError):
+            raise ProtocolError(f"stage: {setting} is {data!r}, no number; check cable and stage.kind") from None
+
+    def _optional(self, setting: str, axis: int) -> float | None:
+        text = self._text(setting, axis)
+        return float(text) if text.replace(".", "", 1).isdigit() else None
+
+    def _text(self, setting: str, axis: int = 0) -> str:
+        """Value of a setting that not every device has."""
+        with suppress(ProtocolError, LimitError, ConfigError):
+            return self._ask(f"get {setting}", axis=axis).data
+        return ""
+
+    def _ask(self, command: str, *, axis: int | None = None, stops: int | None = None) -> Reply:
+        """Send a command and wait for the reply that bears its number."""
+        unless: Callable[[], bool] = (lambda: False) if stops is None else (lambda: self._stops != stops)
+        axis = self._settings.axis if axis is None else axis
+        heard: list[str] = []
+        with self._asking:
+            for _ in range(_TRIES):
+                message_id = self._next_id()
+                if not self._link.write(request(self._settings.device, axis, message_id, command), unless=unless):
+                    raise StoppedError("stage: stopped before it moved")
+                reply = self._await(message_id, heard)
+                if reply is not None:
+                    if not reply.accepted:
+                        raise rejection(command, reply.data.split(" ")[0])
+                    return reply
+        raise self._no_reply(command, heard)
+
+    def _await(self, message_id: int, heard: list[str]) -> Reply | None:
+        end = time.monotonic() + self._settings.reply_timeout_s
+        while (left := end - time.monotonic()) > 0:
+            line = self._link.next_line(left)
+            if line is None:
+                break
+            reply = parse(line)
+            if reply is not None and (reply.device, reply.message_id) == (self._settings.device, message_id):
+                return reply
+            if not is_unasked(line):
+                heard.append(line)
+        return None
+
+    def _no_reply(self, command: str, heard: list[str]) -> RigError:
+        fragment = self._link.fragment()
+        if fragment:
+            heard = [*heard, fragment]
+        others = {reply.device for line in heard if (reply := parse(line))} - {self._settings.device}
+        if others:
+            return ProtocolError(
+                f"stage: device {self._settings.device} doesn't answer, but device {min(others)} does; correct "
+                "stage.device, or look for a second device with that address"
+            )
+        if heard:
+            return ProtocolError(
+                f"stage: the answer to {command!r} was garbled, cut off or somebody else's ({heard[-1][:60]!r}); check "
+                "cable, baud rate and stage.kind, then try again"
+            )
+        return DeviceTimeoutError(
+            f"stage: no answer to {command!r} from {self._link.port}; check power, cable, stage.device and baud rate"
+        )
+
+    def _next_id(self) -> int:
+        self._message_id = (self._message_id + 1) % 100
+        return self._message_id
+
+    @contextmanager
+    def _braking_on_failure(self) -> Iterator[None]:
+        """Whatever ends a movement early, Ctrl-C included: the stage is told to stop."""
+        try:
+            yield
+        except (StoppedError, ConnectionLostError):
+            raise
+        except BaseException:
+            with suppress(RigError):
+                self._link.write(request(self._settings.device, self._settings.axis, self._next_id(), "stop"))
+            raise
+
+
+def _check(settings: ZaberSettings) -> None:
+    if not settings.microstep_mm > 0:
+        raise ConfigError("stage.microstep: must be above zero; see the stage's data sheet")
+    if settings.speed_mm_s is not None and not settings.speed_mm_s > 0:
+        raise ConfigError(f"stage.speed: {settings.speed_mm_s:g} mm/s must be above zero")
+    if not 1 <= settings.device <= 99:
+        raise ConfigError(f"stage.device: {settings.device} is no address; 1 to 99")
+    if not 1 <= settings.axis <= 9:
+        raise ConfigError(f"stage.axis: {settings.axis} is no axis; 1 to 9")
+    if settings.limits_mm is not None and not settings.limits_mm[0] < settings.limits_mm[1]:
+        low, high = settings.limits_mm
+        raise ConfigError(f"stage.limits: {low:g} to {high:g} mm is no range; give the smaller one first")
