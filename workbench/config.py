@@ -10,7 +10,7 @@ import yaml
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 
 from workbench.errors import InputError
-from workbench.units import duration_s, length_mm
+from workbench.units import duration_s, length_mm, speed_mm_s
 
 
 def _length(value: object) -> float:
@@ -27,10 +27,19 @@ def _duration(value: object) -> float:
         raise ValueError(str(error)) from None
 
 
+def _speed(value: object) -> float:
+    try:
+        return speed_mm_s(value)
+    except InputError as error:
+        raise ValueError(str(error)) from None
+
+
 Length = Annotated[float, BeforeValidator(_length)]
 """Written with a unit (``60 cm``), held in millimetres."""
 Duration = Annotated[float, BeforeValidator(_duration)]
 """Written with or without ``s``, held in seconds."""
+Speed = Annotated[float, BeforeValidator(_speed)]
+"""Written with a unit (``50 mm/s``), held in millimetres per second."""
 
 
 class Section(BaseModel):
@@ -83,10 +92,42 @@ class DepthConfig(Section):
 class StageConfig(Section):
     """The stage and how its coordinate becomes depth."""
 
-    kind: Literal["simulated", "manual"] = "simulated"
+    kind: Literal["simulated", "manual", "grbl", "zaber"] = "simulated"
     depth: DepthConfig = DepthConfig()
     limits_mm: tuple[Length, Length] | None = Field(None, alias="limits")
-    """Manual stage: nearest and farthest position."""
+    """Smallest and largest position to use; without it what the controller says (a stage moved by hand: 0 to 3 m)."""
+    port: str = ""
+    """Device path, ``usb:VID:PID[:SERIAL]``, or a URL (``socket://host:port``, ``rfc2217://host:port``)."""
+    baud_rate: int = Field(115200, ge=300, le=4_000_000)
+    axis: Literal["X", "Y", "Z"] | Annotated[int, Field(ge=1, le=9)] | None = None
+    """GRBL: letter, X where not given. Zaber: number, 1 where not given."""
+    speed_mm_s: Speed | None = Field(None, alias="speed", gt=0)
+    """Highest speed of moves; without it the controller's own."""
+    device: int = Field(1, ge=1, le=99)
+    """Zaber: address in the chain."""
+    microstep_mm: Length | None = Field(None, alias="microstep", gt=0)
+    """Zaber: travel of one microstep as the data sheet states it."""
+    allow_without_homing: bool = False
+    """GRBL: run although the controller has homing off."""
+    allow_without_soft_limits: bool = False
+    """GRBL: run although the controller has soft limits off."""
+
+    @model_validator(mode="after")
+    def _what_the_driver_needs(self) -> StageConfig:
+        if self.kind in ("grbl", "zaber") and not self.port:
+            raise ValueError(
+                "port is missing: give a device path (/dev/ttyUSB0), usb:VID:PID or a URL such as socket://host:port"
+            )
+        if self.kind == "grbl" and isinstance(self.axis, int):
+            raise ValueError(f"axis {self.axis} is none of X, Y, Z")
+        if self.kind == "zaber" and isinstance(self.axis, str):
+            raise ValueError(f"axis {self.axis} is no axis number; write 1 to 9")
+        if self.kind == "zaber" and self.microstep_mm is None:
+            raise ValueError("microstep is missing: a Zaber stage counts in microsteps; its data sheet says their size")
+        if self.limits_mm is not None and not self.limits_mm[0] < self.limits_mm[1]:
+            low, high = self.limits_mm
+            raise ValueError(f"limits: {low:g} to {high:g} mm is no range; give the smaller one first")
+        return self
 
 
 class DotConfig(Section):

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 
 from rigs.browser_panel import BrowserPanel, BrowserPanelSettings
 from rigs.errors import RigError
+from rigs.grbl_stage import GrblSettings, GrblStage
 from rigs.manual_stage import ManualSettings, ManualStage
 from rigs.protocols import Camera, Panel, Stage
 from rigs.rig import DepthAxis, Rig
@@ -18,7 +19,8 @@ from rigs.simulated.panel_view import PanelSurface
 from rigs.simulated.scene import SceneTruth, scene_truth
 from rigs.simulated.scenes import scene_by_name
 from rigs.simulated.world import SimulatedRigSettings, SimulatedWorld
-from workbench.config import RigConfig
+from rigs.zaber_stage import ZaberSettings, ZaberStage
+from workbench.config import RigConfig, StageConfig
 from workbench.units import cm
 
 Tell = Callable[[str], None]
@@ -120,15 +122,53 @@ def open_camera(opening: _Opening) -> Camera:
 
 
 def open_stage(opening: _Opening) -> Stage:
-    """The stage of rig.yaml."""
+    """The stage of rig.yaml; the simulated camera sees where a real one has moved the panel."""
     config = opening.config.stage
-    if config.kind == "manual":
-        depth = config.depth
-        axis = DepthAxis(depth.offset_mm, depth.sign, depth.scale)
-        limits = config.limits_mm or (0.0, 3000.0)
-        settings = ManualSettings(limits, lambda position: cm(axis.depth_mm(position)))
-        return FollowedStage(ManualStage(settings, _ask_operator), opening.world)
-    return SimulatedStage(opening.world)
+    match config.kind:
+        case "simulated":
+            return SimulatedStage(opening.world)
+        case "manual":
+            stage: Stage = _manual_stage(config)
+        case "grbl":
+            stage = _grbl_stage(config)
+        case "zaber":
+            stage = _zaber_stage(config)
+    return FollowedStage(stage, opening.world)
+
+
+def _manual_stage(config: StageConfig) -> ManualStage:
+    axis = DepthAxis(config.depth.offset_mm, config.depth.sign, config.depth.scale)
+    limits = config.limits_mm or (0.0, 3000.0)
+    settings = ManualSettings(limits, lambda position: cm(axis.depth_mm(position)))
+    return ManualStage(settings, _ask_operator)
+
+
+def _grbl_stage(config: StageConfig) -> GrblStage:
+    return GrblStage(
+        GrblSettings(
+            port=config.port,
+            baud_rate=config.baud_rate,
+            axis=config.axis if isinstance(config.axis, str) else "X",
+            speed_mm_s=config.speed_mm_s,
+            limits_mm=config.limits_mm,
+            allow_without_homing=config.allow_without_homing,
+            allow_without_soft_limits=config.allow_without_soft_limits,
+        )
+    )
+
+
+def _zaber_stage(config: StageConfig) -> ZaberStage:
+    return ZaberStage(
+        ZaberSettings(
+            port=config.port,
+            microstep_mm=config.microstep_mm or 0.0,
+            baud_rate=config.baud_rate,
+            device=config.device,
+            axis=config.axis if isinstance(config.axis, int) else 1,
+            speed_mm_s=config.speed_mm_s,
+            limits_mm=config.limits_mm,
+        )
+    )
 
 
 def _ask_operator(question: str) -> str:

@@ -13,7 +13,7 @@ FRAME_BYTES_PER_PHOTOSITE = 1.2
 METER_SHOTS_PER_DEPTH = 2.5
 SECONDS_PER_SHOT = {"simulated": 0.25}
 """Readout, download and check of one frame, without its exposure; only for the estimate."""
-SECONDS_PER_MOVE = {"simulated": 0.0, "manual": 30.0}
+SECONDS_PER_MOVE = {"simulated": 0.0, "manual": 30.0, "grbl": 3.0, "zaber": 3.0}
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,4 +1,4 @@
-"""Lengths and times as people write them: "60cm", "0.6 m", "4.3um", "1/125 s"."""
+"""Lengths, times and speeds as people write them: "60cm", "0.6 m", "4.3um", "1/125 s", "50 mm/s"."""
 
 from __future__ import annotations
 
@@ -53,6 +53,14 @@ def duration_s(value: object, *, default_unit: str | None = None) -> float:
         except (ValueError, ZeroDivisionError):
             raise InputError(f"{value!r} is not a time: write for example 1/125 s") from None
     return _parse(value, _TIME_S, "time", "1/125 s", default_unit)
+
+
+def speed_mm_s(value: object) -> float:
+    """Millimetres per second of a text such as "50 mm/s" or "0.1 m/s"; see :func:`length_mm`."""
+    match = re.fullmatch(r"(.*\S)\s*/\s*(s|min)\s*", value) if isinstance(value, str) else None
+    if match is None:
+        raise InputError(f"{value!r} is not a speed: write for example 50 mm/s")
+    return length_mm(match[1]) / _TIME_S[match[2]]
 
 
 def cm(depth_mm: float, digits: int = 1) -> str:

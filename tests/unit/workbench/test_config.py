@@ -31,6 +31,13 @@ def test_the_template_is_valid_and_means_what_it_says(tmp_path: Path) -> None:
         ("calibration: {repeats: many}", ("calibration.repeats", "integer", "'many'")),
         ("camera: {kind: film}", ("camera.kind", "'film'")),
         ("stage: {depth: {sign: 2}}", ("stage.depth.sign",)),
+        ("stage: {kind: grbl}", ("stage", "port is missing", "/dev/ttyUSB0", "usb:VID:PID")),
+        ("stage: {kind: grbl, port: /dev/x, axis: 2}", ("stage", "axis 2", "X, Y, Z")),
+        ("stage: {kind: zaber, port: /dev/x, microstep: 0.5 um, axis: X}", ("stage", "axis X", "1 to 9")),
+        ("stage: {kind: zaber, port: /dev/x}", ("stage", "microstep is missing", "data sheet")),
+        ("stage: {kind: grbl, port: /dev/x, speed: 50 mm}", ("stage.speed", "'50 mm'", "50 mm/s")),
+        ("stage: {kind: grbl, port: /dev/x, speed: 0 mm/s}", ("stage.speed", "greater than 0")),
+        ("stage: {limits: [1 m, 20 cm]}", ("stage", "1000 to 200 mm", "smaller one first")),
         ("[1, 2]", ("rig.yaml", "list")),
         ("a: [", ("rig.yaml", "YAML")),
     ],
@@ -40,6 +47,18 @@ def test_a_wrong_key_type_or_unit_is_named(tmp_path: Path, text: str, words: tup
         load_rig_config(_write(tmp_path, text))
     for word in words:
         assert word in str(caught.value)
+
+
+def test_stages_on_a_serial_line_are_read_with_their_units(tmp_path: Path) -> None:
+    text = (
+        "stage: {kind: zaber, port: 'usb:0403:6001', microstep: 0.49609375 um, speed: 0.1 m/s, limits: [-1 m, 20 cm]}"
+    )
+    stage = load_rig_config(_write(tmp_path, text)).stage
+    assert (stage.microstep_mm, stage.speed_mm_s, stage.limits_mm) == (pytest.approx(0.00049609375), 100, (-1000, 200))
+    grbl = load_rig_config(_write(tmp_path, "stage: {kind: grbl, port: 'socket://rail:23', speed: 3000 mm/min}")).stage
+    assert (grbl.speed_mm_s, grbl.axis, grbl.baud_rate) == (50, None, 115200)
+    assert not grbl.allow_without_homing
+    assert not grbl.allow_without_soft_limits
 
 
 def test_a_directory_without_rig_yaml_is_no_project(tmp_path: Path) -> None:
