@@ -259,17 +259,20 @@ def _measure_field(
     options: BuildOptions,
 ) -> _Field:
     stacks = tuple(stack_repeats(repeats) for repeats in track)
-    dot_radius = np.zeros(nominal.size)
-    for attempt in range(2):
+
+    def fitted(dot_radius: FloatArray, start: TemplateFit | None) -> tuple[TemplateFit, LensFit]:
         spots = [
             Spot(s.point.values, np.sqrt(s.point.variance), disc_variance(r))
             for s, r in zip(stacks, dot_radius, strict=True)
         ]
-        fit = fit_spots(spots, 1.0 / nominal)
+        fit = fit_spots(spots, 1.0 / nominal, start=start)
         radius = np.array([s.radius_px for s in fit.spots])
-        lens = fit_lens(nominal, radius, np.array([s.radius_se_px for s in fit.spots]), apply_zero=options.apply_zero)
-        if attempt or not dots_mm.any() or not focal_mm or not pitch_mm:
-            break
+        errors = np.array([s.radius_se_px for s in fit.spots])
+        return fit, fit_lens(nominal, radius, errors, apply_zero=options.apply_zero)
+
+    dot_radius = np.zeros(nominal.size)
+    fit, lens = fitted(dot_radius, None)
+    if focal_mm and pitch_mm:
         image_distance = focal_mm * lens.focus_mm / (lens.focus_mm - focal_mm)
         dot_radius = np.array(
             [
@@ -277,8 +280,8 @@ def _measure_field(
                 for d, z in zip(dots_mm, nominal, strict=True)
             ]
         )
-        if dot_radius.max() < 0.1:
-            break
+        if dot_radius.max() >= 0.1:
+            fit, lens = fitted(dot_radius, fit)
     chief = np.array(
         [
             (s.point.corner_yx[0] + f.centre_y, s.point.corner_yx[1] + f.centre_x)

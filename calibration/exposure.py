@@ -48,7 +48,8 @@ def meter(image: LinearImage) -> Metered:
     values = planes.reshape(-1, planes.shape[2])
     noise = 1.4826 * float(np.median(np.abs(np.diff(image.luminance[::2], axis=1)))) / np.sqrt(2.0)
     if planes.shape[2] == 3:
-        second = np.sort(values, axis=1)[:, 1]
+        r, g, b = values.T
+        second = np.maximum(np.minimum(r, g), np.minimum(np.maximum(r, g), b))
         place = int(second.argmax())
     else:
         flat = image.luminance

@@ -192,7 +192,8 @@ def _robust_plane(y: NDArray[np.float64], x: NDArray[np.float64], v: NDArray[np.
     for _ in range(4):
         if keep.sum() < 12:
             break
-        plane = np.linalg.lstsq(design[keep], v[keep], rcond=None)[0]
+        kept = design[keep]  # by normal equations: three well-scaled unknowns, very many rows
+        plane = np.linalg.lstsq(kept.T @ kept, kept.T @ v[keep], rcond=None)[0]
         residual = v - design @ plane
         keep = np.abs(residual) <= 3.0 * (_MAD * np.median(np.abs(residual[keep])) + 1e-9)
     return plane
@@ -215,7 +216,7 @@ def _candidates(
     labels = np.asarray(found, np.int32)
     if count <= 1:
         return labels, [], np.zeros(0)
-    fluxes = ndimage.sum_labels(flat, labels, np.arange(1, count))
+    fluxes = np.bincount(labels.ravel(), weights=flat.ravel(), minlength=count)[1:]
     boxes = [box for box in ndimage.find_objects(labels) if box is not None]
     return labels, boxes, np.asarray(fluxes, np.float64)
 

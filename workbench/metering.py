@@ -8,9 +8,9 @@ from pathlib import Path
 
 from calibration.exposure import choose_exposure
 from calibration.exposure import meter as meter_image
-from calibration.raw import develop
+from calibration.image import LinearImage
 from rigs.errors import CaptureError
-from rigs.protocols import Camera, CaptureResult, Exposure
+from rigs.protocols import Camera, Exposure
 from workbench.units import exposure_text
 
 FIRST_TIME_S = 1 / 60
@@ -31,7 +31,7 @@ class MeteredExposure:
 
 
 def meter(
-    expose: Callable[[Exposure, Path], CaptureResult],
+    expose: Callable[[Exposure, Path], LinearImage],
     camera: Camera,
     stem: Path,
     *,
@@ -44,7 +44,7 @@ def meter(
     Parameters
     ----------
     expose
-        Takes one frame with the point shown.
+        Takes one frame with the point shown and develops it as superpixels.
     camera
         Tells which times and ISO values there are.
     stem
@@ -65,9 +65,7 @@ def meter(
     isos = tuple(iso for iso in camera.isos() if base_iso <= iso <= HIGHEST_ISO) or (base_iso,)
     exposure = start or Exposure(min(times, key=lambda t: abs(t - FIRST_TIME_S)), isos[0])
     for number in range(1, max_shots + 1):
-        result = expose(exposure, stem.with_name(f"{stem.name}-{number}.dng"))
-        image = develop(result.path)
-        metered = meter_image(image)
+        metered = meter_image(expose(exposure, stem.with_name(f"{stem.name}-{number}.dng")))
         choice = choose_exposure(metered, time_s=exposure.time_s, iso=exposure.iso, times_s=times, isos=isos)
         stuck = (choice.time_s, choice.iso) == (exposure.time_s, exposure.iso)
         if choice.done or (stuck and not metered.saturated):

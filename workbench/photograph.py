@@ -5,6 +5,8 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+from calibration.image import LinearImage
+from calibration.raw import develop
 from rigs.protocols import Camera, CaptureResult, Exposure
 from workbench.metering import meter
 
@@ -32,10 +34,10 @@ def photograph(camera: Camera, destination: Path, *, base_iso: int) -> CaptureRe
     destination.parent.mkdir(parents=True, exist_ok=True)
     meters: list[Path] = []
 
-    def expose(exposure: Exposure, path: Path) -> CaptureResult:
+    def expose(exposure: Exposure, path: Path) -> LinearImage:
         result = camera.capture(exposure, path)
         meters.append(result.path)
-        return result
+        return develop(result.path)
 
     try:
         stem = destination.with_name(f".{destination.stem}-meter")

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from workbench.config import RigConfig
 from workbench.plan import PatternSpec, Plan, depth_grid_mm
 
-FRAME_BYTES_PER_PHOTOSITE = 1.2
-"""A losslessly compressed 14-bit RAW file takes about this much."""
+FRAME_BYTES_PER_PHOTOSITE = {"small": 2.0, "eos650d": 1.2}
+"""A losslessly compressed 14-bit RAW file takes about 1.2; the small simulated camera doesn't compress."""
 METER_SHOTS_PER_DEPTH = 2.5
 SECONDS_PER_SHOT = {"simulated": 0.25}
 """Readout, download and check of one frame, without its exposure; only for the estimate."""
@@ -76,4 +76,4 @@ def cost(plan: Plan, config: RigConfig) -> PlanCost:
     photosites = 5184 * 3456 if config.simulation.preset == "eos650d" else 1536 * 1024
     seconds = frames * SECONDS_PER_SHOT[config.camera.kind] * max(photosites / 18e6, 0.3)
     seconds += len(plan.depths_mm) * SECONDS_PER_MOVE[config.stage.kind]
-    return PlanCost(shots, seconds, frames * photosites * FRAME_BYTES_PER_PHOTOSITE)
+    return PlanCost(shots, seconds, frames * photosites * FRAME_BYTES_PER_PHOTOSITE[config.simulation.preset])

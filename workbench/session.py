@@ -25,6 +25,7 @@ from pathlib import Path
 from types import FrameType
 from typing import Any
 
+from calibration.image import LinearImage
 from rigs.errors import CaptureError, NotAcknowledgedError, RigError
 from rigs.protocols import CaptureResult, Exposure
 from rigs.rig import Rig
@@ -40,8 +41,8 @@ TRIES_PER_SHOT = 3
 """A frame that doesn't arrive or a pattern that isn't acknowledged is tried again so often, each try journaled."""
 
 
-FrameCheck = Callable[[Path], None]
-"""Raises if a frame just arrived can't be a good RAW file."""
+FrameCheck = Callable[[Path], LinearImage]
+"""Develops a frame just arrived as superpixels; raises if it can't be a good RAW file."""
 
 
 def create_session(directory: Path, plan: Plan) -> None:
@@ -183,8 +184,8 @@ class SessionRunner:
             last = list(known.values())[-1] if known else None
             start = Exposure(last["time_s"], int(last["iso"])) if last else None
 
-            def expose(exposure: Exposure, path: Path) -> CaptureResult:
-                return self._capture(journal, dot, exposure, path)
+            def expose(exposure: Exposure, path: Path) -> LinearImage:
+                return self._capture(journal, dot, exposure, path)[1]
 
             stem = self._directory / "frames" / f"meter-{shot.exposure_of}"
             chosen = meter(
@@ -211,7 +212,7 @@ class SessionRunner:
         return Exposure(time_s=record["time_s"], iso=int(record["iso"]))
 
     def _take(self, journal: Journal, shot: Shot, exposure: Exposure, position_mm: float) -> None:
-        result = self._capture(journal, shot.pattern, exposure, self._directory / "frames" / f"{shot.id}.dng")
+        result, _ = self._capture(journal, shot.pattern, exposure, self._directory / "frames" / f"{shot.id}.dng")
         record = {
             "shot": shot.id, "kind": shot.kind, "depth_mm": shot.depth_mm, "position_mm": round(position_mm, 4),
             "file": str(result.path.relative_to(self._directory)), "sha256": result.sha256, "bytes": result.bytes,
@@ -221,15 +222,16 @@ class SessionRunner:
         self._done[shot.id] = record
         self._tell(f"{shot.id} ({cm(shot.depth_mm, 0)})")
 
-    def _capture(self, journal: Journal, pattern: PatternSpec, exposure: Exposure, path: Path) -> CaptureResult:
+    def _capture(
+        self, journal: Journal, pattern: PatternSpec, exposure: Exposure, path: Path
+    ) -> tuple[CaptureResult, LinearImage]:
         for attempt in range(1, TRIES_PER_SHOT + 1):
             try:
                 self._rig.panel.show(pattern.pattern())
                 result = self._rig.camera.capture(exposure, path)
                 if sha256_file(result.path) != result.sha256:
                     raise CaptureError(f"{result.path}: differs from what the camera delivered; check the disk")
-                self._check(result.path)
-                return result
+                return result, self._check(result.path)
             except (CaptureError, NotAcknowledgedError) as error:
                 path.unlink(missing_ok=True)
                 journal.append("event", message=str(error), attempt=attempt)

@@ -30,10 +30,14 @@ _SPEED_MM_S, _ACCELERATION_MM_S2 = 50.0, 100.0
 
 
 class SimulatedCamera:
-    """A camera that photographs the world's subject."""
+    """A camera that photographs the world's subject.
 
-    def __init__(self, world: SimulatedWorld, *, compression: Compression = "ljpeg") -> None:
-        self._world, self._compression = world, compression
+    Frames of the small preset are not compressed unless asked for: coding and decoding would take longer than all else.
+    """
+
+    def __init__(self, world: SimulatedWorld, *, compression: Compression | None = None) -> None:
+        self._world = world
+        self._compression: Compression = compression or ("none" if world.settings.preset == "small" else "ljpeg")
         self._taken: dict[str, int] = {}
         self._open = True
 

@@ -151,10 +151,7 @@ def _calibrate(project: Project, config: RigConfig, step_mm: float, observer: Ob
     plan = make_plan(config, step_mm=step_mm)
     create_session(directory, plan)
 
-    def check(path: Path) -> None:
-        develop(path, recipe=config.camera.recipe)
-
     with make_rig(replace(rig_settings(config), pupil=pupil)).rig() as rig:
-        state = SessionRunner(directory, plan, rig, observer=observer, check=check).run()
+        state = SessionRunner(directory, plan, rig, observer=observer, check=develop).run()
     calibrate.calibrate_session(project, directory, plan, state, config)
     shutil.rmtree(project.sessions)

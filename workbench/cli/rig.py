@@ -15,6 +15,7 @@ from workbench.project import Project, create_project
 from workbench.units import bytes_text, cm, seconds_text
 
 if TYPE_CHECKING:
+    from calibration.image import LinearImage
     from workbench.calibrate import CalibrationResult
     from workbench.plan import Plan
 
@@ -126,8 +127,8 @@ def run_session(context: Context, project: Project, what: Plan | str) -> None:
     made = load_plan(project.sessions / what) if isinstance(what, str) else what
     config = project.config()
 
-    def check(path: Path) -> None:
-        develop(path, recipe=config.camera.recipe, pixel_pitch_mm=config.camera.pixel_pitch_mm)
+    def check(path: Path) -> LinearImage:
+        return develop(path, pixel_pitch_mm=config.camera.pixel_pitch_mm)
 
     with project.lock_rig(), open_rig(config, tell=context.note) as rig:
         try:

@@ -7,7 +7,7 @@ from drawn_points import DEPTHS_MM, FOCUS_MM, SCALE_PX, draw_psf
 from calibration.errors import DepthListError, FitError
 from calibration.lens_fit import aperture_radius_mm, check_depths, fit_lens
 from calibration.pupil_outline import circumscribed
-from calibration.render import share_matrix
+from calibration.render import render, render_slopes, share_matrix
 from calibration.template import Spot, fit_spots
 
 DEPTHS = np.arange(600.0, 3501.0, 200.0)
@@ -84,6 +84,21 @@ def test_aperture_radius_follows_from_the_papers_numbers() -> None:
 def test_impossible_depth_lists_are_refused(depths_mm: list[float], expected: str) -> None:
     with pytest.raises(DepthListError, match=expected):
         check_depths(depths_mm, ordered=True)
+
+
+@pytest.mark.parametrize("radius", [12.0, -7.5, 0.4])
+def test_slopes_of_the_rendered_image_are_its_differences(radius: float) -> None:
+    template = np.random.default_rng(3).random((24, 24))
+    at = np.array([radius, 20.2, 18.7, 0.25])
+
+    def image(p: np.ndarray) -> np.ndarray:
+        return render(template, 1.25, (41, 39), radius=p[0], centre=(p[1], p[2]), core=float(np.sqrt(p[3])))
+
+    plain, slopes = render_slopes(template, 1.25, (41, 39), radius=at[0], centre=(at[1], at[2]), core=0.5)
+    np.testing.assert_allclose(plain, image(at), atol=1e-10)
+    for k, step in enumerate(1e-5 * np.eye(4)):
+        difference = (image(at + step) - image(at - step)) / 2e-5
+        np.testing.assert_allclose(slopes[k], difference, atol=1e-6 * np.abs(difference).max())
 
 
 def test_share_matrix_keeps_the_flux_and_matches_sampling() -> None:
