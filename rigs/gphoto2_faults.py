@@ -266,6 +266,8 @@ def classify(op: str, code: int, text: str = "", log: Sequence[str] = ()) -> Fau
     if fault is None:
         if op in _RELEASING:
             fault = Fault.NO_RELEASE
+        elif op == "wait":
+            fault = Fault.NO_IMAGE
         elif op in _DOWNLOADING:
             fault = Fault.FILE_LOST if code in (-107, -108) else Fault.DOWNLOAD
         else:

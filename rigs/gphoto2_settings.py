@@ -83,9 +83,7 @@ def same_time(chosen: str, read_back: str) -> bool:
     a, b = parse_time_s(chosen), parse_time_s(read_back)
     if a is None or b is None:
         return False
-    return abs(a - b) <= _SAME_RELATIVE * a + (
-        0.0 if chosen == read_back else rounding_s(chosen) + rounding_s(read_back)
-    )
+    return chosen == read_back or abs(a - b) <= _SAME_RELATIVE * a + rounding_s(chosen) + rounding_s(read_back)
 
 
 def parse_iso(text: str) -> int | None:
