@@ -44,6 +44,8 @@ from rigs.serial_link import SerialLink
 _STALE_IDLE_S = 1.5
 """How long the controller may say Idle somewhere else before we believe that it isn't going to move."""
 
+_POLL_S = 0.02
+
 _NOT_READY = {
     "Alarm": (AlarmError, "is in alarm", "home the stage"),
     "Hold": (StageError, "is paused (feed-hold button)", "press its resume button, or stop and home"),
@@ -320,8 +322,10 @@ class GrblStage:
                         f"stage: stands still at {position_mm:g} mm instead of {target_mm:g} mm: noise on the line, or "
                         "another program; check the cable, then try again"
                     )
+                time.sleep(_POLL_S)
                 continue
             idle_since = None
+            time.sleep(_POLL_S)
             if now > end:
                 raise DeviceTimeoutError(
                     f"stage: not arrived while {doing} in the time that speed and acceleration allow; check motor "

@@ -4,7 +4,7 @@ One thread reads, so that an unplugged cable is noticed at once and anybody may 
 queue behind a command that waits for its answer. Whatever pyserial or the operating system raises becomes a
 :class:`rigs.errors.RigError` here and nowhere else.
 
-Traffic is logged byte by byte under ``rigs.serial_link`` (level DEBUG).
+Traffic is logged byte by byte, with seconds since the port was opened, under ``rigs.serial_link`` (level DEBUG).
 """
 
 from __future__ import annotations
@@ -119,6 +119,7 @@ class SerialLink:
     def __init__(self, port: str, baud_rate: int) -> None:
         self.port = port
         self._line = _open(port, baud_rate)
+        self._opened_s = time.monotonic()
         self._writing = threading.Lock()
         self._arrived = threading.Condition()
         self._lines: deque[str] = deque()
@@ -157,7 +158,7 @@ class SerialLink:
                 raise ConnectionLostError(f"stage: {self.port} is closed")
             if self._loss is not None:
                 raise self._lost(self._loss)
-            _log.debug("%s > %r", self.port, data)
+            self._log_traffic(">", data)
             try:
                 self._line.write(data)
             except serial.SerialTimeoutException as error:
@@ -211,7 +212,7 @@ class SerialLink:
                 self._lose(str(error))
                 return
             if data:
-                _log.debug("%s < %r", self.port, data)
+                self._log_traffic("<", data)
                 self._take(data)
 
     def _take(self, data: bytes) -> None:
@@ -222,6 +223,9 @@ class SerialLink:
                 self._lines.append(_text(self._fragment))
                 self._fragment = b""
             self._arrived.notify_all()
+
+    def _log_traffic(self, direction: str, data: bytes) -> None:
+        _log.debug("%s %9.3f s %s %r", self.port, time.monotonic() - self._opened_s, direction, data)
 
     def _lose(self, why: str) -> None:
         with self._arrived:

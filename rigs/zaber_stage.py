@@ -131,9 +131,7 @@ class ZaberStage:
         acceleration = self._number("accel") * 1e4 / _SPEED_UNIT * self._step_mm
         self._acceleration_mm_s2 = acceleration or 1e4 * max_speed  # 0 means: at once
         approach = self._optional("limit.approach.maxspeed", settings.axis)
-        self._homing_speed_mm_s = (
-            (approach or max_speed * _SPEED_UNIT / self._step_mm / 4) / _SPEED_UNIT * self._step_mm
-        )
+        self._homing_speed_mm_s = approach / _SPEED_UNIT * self._step_mm if approach else max_speed / 4
         self._firmware = self._ask("get version", axis=0).data
         self._serial = self._text("system.serial")
         self._device_id = self._text("device.id") or self._text("deviceid")

@@ -33,7 +33,7 @@ class ZaberDevice:
         }
     )  # fmt: skip
     flags: set[str] = field(default_factory=lambda: {"WR"})
-    position: float = 1.2e6
+    position: float = 4e4
     true_offset: float = 0.0
     jam_at: float | None = None
     dead_home_sensor: bool = False

@@ -17,8 +17,8 @@ from tests.standins.grbl_firmware import GrblFirmware
 from tests.standins.pty_server import PtyServer
 from tests.standins.rail import Rail
 
-FAST = {110: 600000.0, 120: 100000.0, 24: 60000.0, 25: 600000.0, 26: 2}
-"""10 m/s: a rail on which moves take milliseconds."""
+FAST = {110: 3000000.0, 120: 1000000.0, 24: 60000.0, 25: 600000.0, 26: 2}
+"""50 m/s: a rail on which moves take milliseconds."""
 
 
 @dataclass

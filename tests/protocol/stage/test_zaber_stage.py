@@ -306,6 +306,7 @@ def test_speed_limit_goes_with_the_move(zaber: ZaberBench) -> None:
 
 def test_stop_while_homing(zaber: ZaberBench, in_background: InBackground) -> None:
     stage = zaber.open()
+    zaber.device.position = 1.2e6
     zaber.device.settings["limit.approach.maxspeed"] = "327680"
     homing = in_background(stage.home)
     time.sleep(0.2)
