@@ -7,6 +7,7 @@ never taken for the one that is waited for.
 
 from __future__ import annotations
 
+import itertools
 import math
 import threading
 import time
@@ -46,6 +47,7 @@ _TRIES = 2
 """A message may be lost or damaged on its way; every command of ours may be sent twice, for its target is absolute."""
 _SPEED_UNIT = 1.6384
 """Speeds are in microsteps / 1.6384 s, accelerations in 10000 microsteps / (1.6384 s s) (Zaber ASCII manual, units)."""
+_MOVES_WITH_SPEED_SINCE = (7, 25)
 _FULL_STEP = 64
 """Data sheets give the microstep size at this ``resolution``."""
 
@@ -103,7 +105,7 @@ class ZaberStage:
         _check(settings)
         self._settings = settings
         self._asking, self._moving = threading.Lock(), threading.RLock()
-        self._message_id = 0
+        self._message_ids = itertools.cycle(range(100))
         self._stops = 0
         self._was_known = self._closed = False
         self._link = SerialLink(settings.port, settings.baud_rate)
@@ -135,6 +137,11 @@ class ZaberStage:
         self._firmware = self._ask("get version", axis=0).data
         self._serial = self._text("system.serial")
         self._device_id = self._text("device.id") or self._text("deviceid")
+        if settings.speed_mm_s is not None and _version(self._firmware) < _MOVES_WITH_SPEED_SINCE:
+            raise ConfigError(
+                f"stage.speed: needs firmware 7.25 or newer, the device has {self._firmware}; leave it out and set "
+                "maxspeed in the device"
+            )
 
     def identify(self) -> DeviceIdentity:
         """Device id, serial number and firmware."""
@@ -410,8 +417,7 @@ class ZaberStage:
         )
 
     def _next_id(self) -> int:
-        self._message_id = (self._message_id + 1) % 100
-        return self._message_id
+        return next(self._message_ids)  # one step of the interpreter: no two threads get the same
 
     @contextmanager
     def _braking_on_failure(self) -> Iterator[None]:
@@ -424,6 +430,10 @@ class ZaberStage:
             with suppress(RigError):
                 self._link.write(request(self._settings.device, self._settings.axis, self._next_id(), "stop"))
             raise
+
+
+def _version(text: str) -> tuple[int, ...]:
+    return tuple(int(part) for part in text.split(".") if part.isdigit())
 
 
 def _check(settings: ZaberSettings) -> None:

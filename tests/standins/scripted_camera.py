@@ -1,9 +1,9 @@
 """Stands in for the camera's process: an EOS 650D in mode M that fails as it is told to.
 
-Speaks the pipe protocol of ``rigs.gphoto2_wire``, nothing of libgphoto2. ``python -m tests.standins.scripted_camera DIR``
-reads ``DIR/rules.json``: a list of rules ``{"op", "name"?, "first"?, "last"?, "do", ...}``, each for the calls number
-``first`` to ``last`` of one operation, counted over all processes of the test. Every call is noted in
-``DIR/calls.jsonl``.
+Speaks the pipe protocol of ``rigs.gphoto2_wire``, nothing of libgphoto2. As ``python -m
+tests.standins.scripted_camera DIR`` it reads ``DIR/rules.json``: a list of rules ``{"op", "name"?, "first"?, "last"?,
+"do", ...}``, each for the calls number ``first`` to ``last`` of one operation, counted over all processes of the
+test. Every call is noted in ``DIR/calls.jsonl``.
 """
 
 from __future__ import annotations

@@ -304,6 +304,13 @@ def test_speed_limit_goes_with_the_move(zaber: ZaberBench) -> None:
     assert stage.travel_time_s(500) == pytest.approx(1.0, abs=0.2)
 
 
+def test_speed_limit_is_refused_where_the_firmware_cannot_keep_it(zaber: ZaberBench) -> None:
+    zaber.device.settings["version"] = "6.28"
+    with pytest.raises(ConfigError, match=r"stage\.speed: needs firmware 7\.25 or newer, the device has 6\.28"):
+        zaber.open(speed_mm_s=500.0)
+    assert zaber.homed().move_to_mm(100) == pytest.approx(100)
+
+
 def test_stop_while_homing(zaber: ZaberBench, in_background: InBackground) -> None:
     stage = zaber.open()
     zaber.device.position = 1.2e6
