@@ -16,13 +16,13 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from rigs.simulated.blur import blur_through, reach_px, transmission_map
 from rigs.simulated.coverage import polygon_coverage
 from rigs.simulated.lens import Lens
+from rigs.simulated.perspective import in_perspective
 from rigs.simulated.sensor import FloatImage, bayer
 from rigs.simulated.textures import texture
 
@@ -101,7 +101,7 @@ class _InversePlane:
     def slope(self) -> float:
         return math.hypot(self.by_x, self.by_y)
 
-    def at(self, x: NDArray[np.floating], y: NDArray[np.floating]) -> NDArray[np.float64]:
+    def at(self, x: NDArray[np.number], y: NDArray[np.number]) -> NDArray[np.float64]:
         return np.asarray((self.base + self.by_x * x) + self.by_y * y, np.float64)
 
 
@@ -266,13 +266,9 @@ def _slanted_texture(
 ) -> FloatImage:
     """Texture that lies in a slanted plane, in perspective.
 
-    Its pixels are ``enlarge`` times as large as the frame's where the object is nearest. Where the frame's pixels hold
-    several of the texture's, a smaller copy of the texture is used, as for mipmaps.
+    Its pixels are ``enlarge`` times as large as the frame's where the object is nearest.
     """
     top, bottom, left, right = region
-    y, x = np.arange(top, bottom)[:, None] + 0.5, np.arange(left, right)[None, :] + 0.5
-    depth = 1.0 / plane.at(x, y)
-    dx, dy = (x - frame_shape[1] / 2) / distance_px, (y - frame_shape[0] / 2) / distance_px
     # 1 = z (base' + by_x dx + by_y dy) in units of the image distance gives the plane's normal.
     base = plane.base + plane.by_x * frame_shape[1] / 2 + plane.by_y * frame_shape[0] / 2
     normal = np.array([plane.by_x * distance_px, plane.by_y * distance_px, base])
@@ -280,25 +276,20 @@ def _slanted_texture(
     along = np.cross(normal, (0.0, 1.0, 0.0) if abs(normal[1]) < 0.9 else (0.0, 0.0, 1.0))
     along /= np.linalg.norm(along)
     across = np.cross(normal, along)
-    texel_mm = item.enlarge * float(depth.min()) / distance_px
-    u, v = (
-        ((depth * (dx * axis[0] + dy * axis[1] + axis[2])) / texel_mm).astype(np.float32) for axis in (along, across)
-    )
-    texels_per_px = np.maximum.reduce([np.abs(g) for w in (u, v) for g in np.gradient(w)])
-    level_of = np.clip(np.rint(np.log2(np.maximum(texels_per_px, 1.0))), 0, 6).astype(np.uint8)
+    corners = plane.at(np.array([left, right, left, right]), np.array([top, top, bottom, bottom]))
+    texel_mm = item.enlarge / float(corners.max()) / distance_px
+
+    def coordinates(rows: FloatImage, columns: FloatImage) -> tuple[FloatImage, FloatImage]:
+        y, x = rows.astype(np.float64) + top, columns.astype(np.float64) + left
+        depth = 1.0 / plane.at(x, y)
+        dx, dy = (x - frame_shape[1] / 2) / distance_px, (y - frame_shape[0] / 2) / distance_px
+        u, v = (
+            (depth * (dx * axis[0] + dy * axis[1] + axis[2]) / texel_mm).astype(np.float32) for axis in (along, across)
+        )
+        return u, v
+
     image = texture(item.texture, (_SLANTED_TEXTURE_PX, _SLANTED_TEXTURE_PX), item.seed)
-    result = np.zeros(depth.shape, np.float32)
-    for level in range(int(level_of.max()) + 1):
-        here = level_of == level
-        if here.any():
-            size = image.shape[0]
-            # The texture is continued by its mirror images.
-            folded = [size - 1 - np.abs((w / np.float32(2**level)) % (2 * size - 2) - (size - 1)) for w in (u, v)]
-            mapped = cv2.remap(image, folded[0], folded[1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-            result[here] = mapped[here]
-        smaller = cv2.resize(image, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
-        image = np.asarray(smaller, np.float32)
-    return result
+    return in_perspective(image, (bottom - top, right - left), coordinates)
 
 
 def _lay_over(

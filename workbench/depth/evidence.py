@@ -23,7 +23,7 @@ from workbench.depth.evidence_model import DepthModel, EvidenceOptions, Learned,
 from workbench.depth.evidence_posterior import find_modes, mode_scores, signed_posterior, summarise
 from workbench.depth.evidence_side import sparseness
 from workbench.depth.evidence_spectrum import SpectralFit, TextureFactor, fit_spectra, frequencies, smeared_power
-from workbench.depth.evidence_windows import Window, place_windows, pooled_periodogram
+from workbench.depth.evidence_windows import Window, place_windows, pooled_periodogram, soft_mask
 
 __all__ = [
     "DepthModel",
@@ -38,6 +38,7 @@ __all__ = [
 FloatArray = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
+_SOFT_MARGIN_PX = 24.0
 _ENOUGH = 0.7
 """Full windows' worth of region below which smaller windows are tried."""
 _LOW_CYCLES = 6.0
@@ -79,6 +80,8 @@ class Observation:
     """What a region's pixels say, before anything learned is applied."""
 
     windows: list[Window]
+    soft: NDArray[np.float32]
+    """The region with a soft edge, 1 inside; float32 (H, W)."""
     fit: SpectralFit
     pixels: float
     """Pixels' worth of information: sum of the squared tapers' weights."""
@@ -103,7 +106,8 @@ def observe(plane: NDArray[np.float32], mask: Mask, model: DepthModel, options: 
     factor = TextureFactor(options.factor_spread, options.factor_wide_share, options.factor_wide_spread)
     fit = fit_spectra(pooled.power, averages, expected, factor=factor)
     pixels = sum(w.weight for w in windows) * size * size * 0.25  # half overlap both ways: each pixel counts fourfold
-    return Observation(windows, fit, max(pixels, size * size * windows[0].weight), _low_share(pooled.power, fit))
+    soft = soft_mask(mask, margin_px=min(margin, _SOFT_MARGIN_PX), ramp_px=12.0)
+    return Observation(windows, soft, fit, max(pixels, size * size * windows[0].weight), _low_share(pooled.power, fit))
 
 
 def _low_share(power: FloatArray, fit: SpectralFit) -> float:
@@ -129,8 +133,9 @@ def side_features(
             psfs.append(model.psfs.psf_at(model.depth_mm(sign * radius), size))
         else:
             psfs.append(psfs[0][::-1, ::-1] if psfs else model.psfs.psf_at(model.depth_mm(-radius), size)[::-1, ::-1])
-    chosen = seen.windows[:: max(1, len(seen.windows) // options.side_windows)][: options.side_windows]
-    return sparseness(plane, chosen, psfs, seen.fit.coefficients[row], float(seen.fit.log_noise[row]))
+    good = [w for w in seen.windows if w.weight >= 0.6 * seen.windows[0].weight]
+    chosen = good[:: max(1, len(good) // options.side_windows)][: options.side_windows]
+    return sparseness(plane, seen.soft, chosen, psfs, seen.fit.coefficients[row], float(seen.fit.log_noise[row]))
 
 
 def measure_region(
@@ -200,7 +205,10 @@ def _unless_another_blur_fits(
         low, high = sorted((float(radius[row]) + 0.5, chosen + 0.5))
         apart = high / low > options.close_ratio and high - low > 2.0
         if apart and likelihood[row] > own - options.close_log_likelihood:
-            other = model.depth_mm(float(np.copysign(radius[row], model.psfs.radius_px(estimate.depth_mm))))
+            side = float(np.sign(model.psfs.radius_px(estimate.depth_mm)) or 1.0)
+            if not model.sides_in_reach[row, 0 if side > 0 else 1]:
+                side = -side
+            other = model.depth_mm(side * float(radius[row]))
             return replace(
                 estimate,
                 status="ambiguous",

@@ -30,6 +30,7 @@ _FADE = 16
 
 def sparseness(
     plane: NDArray[np.float32],
+    soft: NDArray[np.float32],
     windows: Sequence[Window],
     psfs: Sequence[NDArray[np.float32]],
     coefficients: FloatArray,
@@ -41,6 +42,9 @@ def sparseness(
     ----------
     plane
         float32 (H, W).
+    soft
+        float32 (H, W): the region, 1 inside, falling to 0 at its edge. What lies beyond is kept out: a restoration
+        would carry a neighbour's edges into the window, the farther the larger its PSF.
     windows
         Where to look; moments are pooled over them, weighted by their squared tapers.
     psfs
@@ -59,8 +63,9 @@ def sparseness(
     fade[-_FADE:] = fade[:_FADE][::-1]
     edge = np.outer(fade, fade)
     patches = np.stack([cut_out(plane, w.row - _CONTEXT, w.column - _CONTEXT, size, size) for w in windows])
-    patches -= np.array([np.average(p, weights=edge) for p in patches])[:, np.newaxis, np.newaxis]
-    spectra = fft.rfft2((patches * edge).astype(np.float32))
+    seen = np.stack([cut_out(soft, w.row - _CONTEXT, w.column - _CONTEXT, size, size) for w in windows]) * edge
+    patches -= ((patches * seen).sum(axis=(1, 2)) / seen.sum(axis=(1, 2)))[:, np.newaxis, np.newaxis]
+    spectra = fft.rfft2((patches * seen).astype(np.float32))
     weights = np.stack([w.taper**2 for w in windows])
     weights /= weights.sum()
     result = np.zeros((len(psfs), len(FAMILIES)))

@@ -94,9 +94,7 @@ def cut_windows(
     mask: Mask, size: int, corners: list[tuple[int, int]], *, margin_px: float, ramp_px: float, least_weight: float
 ) -> list[Window]:
     """Windows at given corners (row, column), cut by a region's outline; see :func:`place_windows`."""
-    distance = edge_distance(mask)
-    soft = np.clip((distance - margin_px) / max(ramp_px, 1e-6), 0.0, 1.0)
-    soft = np.where(mask, soft * soft * (3.0 - 2.0 * soft), 0.0).astype(np.float32)  # smooth step
+    soft = soft_mask(mask, margin_px=margin_px, ramp_px=ramp_px)
     full = np.outer(hann(size), hann(size)).astype(np.float32)
     energy = float((full**2).sum())
     windows = []
@@ -111,6 +109,12 @@ def cut_windows(
         if weight >= least_weight:
             windows.append(Window(y, x, taper, weight))
     return sorted(windows, key=lambda w: -w.weight)
+
+
+def soft_mask(mask: Mask, *, margin_px: float, ramp_px: float) -> NDArray[np.float32]:
+    """0 up to ``margin_px`` from a region's edge, then a smooth step to 1; float32 (H, W)."""
+    share = np.clip((edge_distance(mask) - margin_px) / max(ramp_px, 1e-6), 0.0, 1.0)
+    return np.where(mask, share * share * (3.0 - 2.0 * share), 0.0).astype(np.float32)
 
 
 def _holes(cut: NDArray[np.float32]) -> bool:
