@@ -62,7 +62,7 @@ def four_objects(seed: int = 0) -> Scene:
         return SceneObject(name, texture_name, outline, (depth_mm,) * 3, seed + int(depth_mm), dark=dark, light=light)
 
     wall = SceneObject(
-        "wall", "brick", rectangle(-0.2, -0.2, 1.2, _TABLE_TOP + 0.02), (_WALL_MM,) * 3, seed + 1, 1.0,
+        "wall", "masonry", rectangle(-0.2, -0.2, 1.2, _TABLE_TOP + 0.02), (_WALL_MM,) * 3, seed + 1, 1.0,
         (0.55, 0.52, 0.45), (0.50, 0.20, 0.14),
     )  # fmt: skip
     below = 1.12

@@ -128,8 +128,20 @@ def _grass(height: int, width: int, generator: np.random.Generator) -> FloatImag
 
 
 def _brick(height: int, width: int, generator: np.random.Generator) -> FloatImage:
-    """Brick wall in running bond."""
-    tall, wide, joint = 22, 62, 4
+    """Brick wall in running bond, from afar."""
+    return _bond(height, width, generator, (22, 62, 4), grain=0.02)
+
+
+def _masonry(height: int, width: int, generator: np.random.Generator) -> FloatImage:
+    """Rough brick wall in running bond, from nearer by."""
+    return _bond(height, width, generator, (64, 180, 10), grain=0.07)
+
+
+def _bond(
+    height: int, width: int, generator: np.random.Generator, pixels: tuple[int, int, int], *, grain: float
+) -> FloatImage:
+    """Bricks of (height, width) with a joint of so many pixels."""
+    tall, wide, joint = pixels
     y, x = np.arange(height)[:, None], np.arange(width)[None, :]
     row = y // tall
     shifted = x + (row % 2) * (wide // 2) + int(generator.integers(0, wide))
@@ -137,8 +149,8 @@ def _brick(height: int, width: int, generator: np.random.Generator) -> FloatImag
     tone = generator.uniform(0.55, 0.85, (int(row.max()) + 1, int(column.max()) + 1))
     wall = tone[row, column]
     wall = np.where((y % tall < joint) | (shifted % wide < joint), 0.15, wall).astype(np.float32)
-    grain = _filtered_noise(height, width, generator, lambda f: 1.0 / np.maximum(f, 0.02))
-    return np.asarray(cv2.GaussianBlur(wall, (0, 0), 0.6) + 0.02 * grain, np.float32)
+    rough = _filtered_noise(height, width, generator, lambda f: 1.0 / np.maximum(f, 0.02))
+    return np.asarray(cv2.GaussianBlur(wall, (0, 0), 0.6) + grain * rough, np.float32)
 
 
 def _weave(height: int, width: int, generator: np.random.Generator) -> FloatImage:
@@ -194,5 +206,6 @@ def _filtered_noise(
 TEXTURES: dict[str, Callable[[int, int, np.random.Generator], FloatImage]] = {
     "chart": _chart, "text": _text, "leaves": _leaves, "noise": _noise, "gravel": _gravel, "grass": _grass,
     "brick": _brick, "weave": _weave, "faint": _faint, "letters": _letters, "blank": _blank,
+    "masonry": _masonry,
 }  # fmt: skip
 """Textures by name: (height, width, generator) -> float32 (height, width)."""

@@ -22,7 +22,14 @@ from workbench.depth.estimate import DepthEstimate, Status
 from workbench.depth.evidence_model import DepthModel, EvidenceOptions, Learned, learned_of, prepare
 from workbench.depth.evidence_posterior import find_modes, mode_scores, signed_posterior, summarise
 from workbench.depth.evidence_side import sparseness
-from workbench.depth.evidence_spectrum import SpectralFit, TextureFactor, fit_spectra, frequencies, smeared_power
+from workbench.depth.evidence_spectrum import (
+    SpectralFit,
+    TextureFactor,
+    fit_spectra,
+    frequencies,
+    mixed_power,
+    smeared_power,
+)
 from workbench.depth.evidence_windows import Window, place_windows, pooled_periodogram, soft_mask
 
 __all__ = [
@@ -87,6 +94,8 @@ class Observation:
     """Pixels' worth of information: sum of the squared tapers' weights."""
     low_share: float
     """Share of the lowest frequencies that stand above the noise."""
+    varied: float
+    """Log-likelihood that a mixture of neighbouring blurs gains over the best single one."""
 
 
 def observe(plane: NDArray[np.float32], mask: Mask, model: DepthModel, options: EvidenceOptions) -> Observation | None:
@@ -105,9 +114,18 @@ def observe(plane: NDArray[np.float32], mask: Mask, model: DepthModel, options: 
     averages = max(1.0, 0.7 * pooled.averages)
     factor = TextureFactor(options.factor_spread, options.factor_wide_share, options.factor_wide_spread)
     fit = fit_spectra(pooled.power, averages, expected, factor=factor)
+    mixtures = mixed_power(expected, model.row_radius_px, options.varied_px)
+    varied = float((fit_spectra(pooled.power, averages, mixtures, factor=factor).log_likelihood).max())
     pixels = sum(w.weight for w in windows) * size * size * 0.25  # half overlap both ways: each pixel counts fourfold
     soft = soft_mask(mask, margin_px=min(margin, _SOFT_MARGIN_PX), ramp_px=12.0)
-    return Observation(windows, soft, fit, max(pixels, size * size * windows[0].weight), _low_share(pooled.power, fit))
+    return Observation(
+        windows,
+        soft,
+        fit,
+        max(pixels, size * size * windows[0].weight),
+        _low_share(pooled.power, fit),
+        varied - float(fit.log_likelihood.max()),
+    )
 
 
 def _low_share(power: FloatArray, fit: SpectralFit) -> float:
@@ -188,6 +206,8 @@ def _conclude(
         "mode_sparseness_far_near": np.stack([far, near]),
     }
     estimate = summarise(sigma, log_post, int(seen.pixels), model, learned, options, diagnostics)
+    if seen.varied > options.varied_log_likelihood:
+        return _doubted(estimate, "its blur is not the same all over: a slanted surface, or several depths")
     return _unless_another_blur_fits(estimate, likelihood, modes, model, options)
 
 
@@ -209,10 +229,10 @@ def _unless_another_blur_fits(
             if not model.sides_in_reach[row, 0 if side > 0 else 1]:
                 side = -side
             other = model.depth_mm(side * float(radius[row]))
-            return replace(
-                estimate,
-                status="ambiguous",
-                confidence=0.5 * estimate.confidence,
-                reason=f"its spectrum fits the blur of {other / 10:.0f} cm nearly as well",
-            )
+            return _doubted(estimate, f"its spectrum fits the blur of {other / 10:.0f} cm nearly as well")
     return estimate
+
+
+def _doubted(estimate: DepthEstimate, reason: str) -> DepthEstimate:
+    """The same estimate, called ambiguous."""
+    return replace(estimate, status="ambiguous", confidence=0.5 * estimate.confidence, reason=reason)

@@ -43,6 +43,9 @@ class EvidenceOptions:
         A blur whose radius differs by more than this ratio, and whose spectrum fits less than so much worse, makes a
         region ambiguous whatever else speaks for the best one: a smooth texture in focus looks like a rough one behind
         a larger blur.
+    varied_px, varied_log_likelihood
+        A mixture of blurs whose radii lie so far to both sides, and which explains the spectrum so much better than any
+        single blur, makes a region ambiguous: its surface is slanted, or it holds several depths.
     least_evidence
         Log-likelihood that texture must gain over noise alone.
     max_saturated
@@ -61,6 +64,8 @@ class EvidenceOptions:
     ambiguous_below: float = 0.95
     close_log_likelihood: float = 12.0
     close_ratio: float = 1.25
+    varied_px: float = 4.0
+    varied_log_likelihood: float = 8.0
     least_evidence: float = 12.0
     max_saturated: float = 0.1
     factor_spread: float = 0.5

@@ -134,6 +134,36 @@ def smeared_power(kernel_lags: Float32, taper_lags: FloatArray, size: int) -> Fl
     return np.asarray(fft.rfft2(square, axes=(1, 2)).real, np.float32)
 
 
+def mixed_power(expected: Float32, radius_px: FloatArray, spread_px: float) -> Float32:
+    """Expected periodogram where all blurs up to ``spread_px`` smaller or larger than one another occur side by side.
+
+    Parameters
+    ----------
+    expected
+        float32 (D, N, N // 2 + 1): :func:`smeared_power` of each blur.
+    radius_px
+        float64 (D,): their radii, evenly spaced; |radius| counts, so that blurs of both sides of focus may mix.
+    spread_px
+        Half the range of radii in a mixture.
+
+    Returns
+    -------
+    float32 (M, N, N // 2 + 1)
+        Mixtures about every third radius.
+    """
+    radius = np.abs(radius_px)
+    step = float(np.median(np.abs(np.diff(radius))))
+    order = np.argsort(radius)
+    ascending = radius[order]
+    middles = ascending[::3][ascending[::3] <= ascending[-1] - 0.5 * spread_px]
+    offsets = np.arange(-spread_px, spread_px + 0.5 * step, step)
+    # both sides of focus where rows are signed: the nearest row of that |radius| will do
+    nearest = np.abs(np.abs(middles[:, np.newaxis] + offsets)[:, :, np.newaxis] - ascending).argmin(axis=2)
+    share = np.zeros((middles.size, radius.size), np.float32)
+    np.add.at(share, (np.arange(middles.size)[:, np.newaxis], order[nearest]), np.float32(1.0 / offsets.size))
+    return np.asarray((share @ expected.reshape(radius.size, -1)).reshape(middles.size, *expected.shape[1:]))
+
+
 @lru_cache(maxsize=64)
 def _tables(averages: float, spread: float, wide_share: float, wide_spread: float) -> tuple[Float32, ...]:
     """Log density of log I, its slopes in log(S k) and log n, and the Fisher information, over the table's grid."""
