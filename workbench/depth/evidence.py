@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from calibration.bank import Bank
 from calibration.image import LinearImage
 from workbench.depth.estimate import DepthEstimate, Status
+from workbench.depth.evidence_colour import informative_plane
 from workbench.depth.evidence_model import DepthModel, EvidenceOptions, Learned, learned_of, prepare
 from workbench.depth.evidence_posterior import find_modes, mode_scores, signed_posterior, summarise
 from workbench.depth.evidence_side import sparseness
@@ -75,11 +76,12 @@ def estimate_evidence(
     """
     options = options or EvidenceOptions()
     model, learned = prepare(bank, options), learned_of(bank)
-    plane = image.luminance
-    return {
-        int(label): measure_region(plane, image.saturated, labels == label, model, learned, options)
-        for label in np.unique(labels[labels > 0])
-    }
+    found = {}
+    for label in np.unique(labels[labels > 0]):
+        mask = labels == label
+        plane, _ = informative_plane(image, mask & ~image.saturated, options.colour_gain)
+        found[int(label)] = measure_region(plane, image.saturated, mask, model, learned, options)
+    return found
 
 
 @dataclass(frozen=True, slots=True)

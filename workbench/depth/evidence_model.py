@@ -48,6 +48,9 @@ class EvidenceOptions:
         single blur, makes a region ambiguous: its surface is slanted, or it holds several depths.
     least_evidence
         Log-likelihood that texture must gain over noise alone.
+    colour_gain
+        Where a mixture of the colour channels shows so much more texture over noise (in power) than the luminance, it
+        is measured instead.
     max_saturated
         Larger fractions of saturated pixels refuse the region.
     factor_spread, factor_wide_share, factor_wide_spread
@@ -67,6 +70,7 @@ class EvidenceOptions:
     varied_px: float = 4.0
     varied_log_likelihood: float = 8.0
     least_evidence: float = 12.0
+    colour_gain: float = 1.6
     max_saturated: float = 0.1
     factor_spread: float = 0.5
     factor_wide_share: float = 0.1

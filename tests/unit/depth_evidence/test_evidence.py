@@ -11,8 +11,10 @@ from calibration.bank import Bank
 from calibration.pupil import fit_pupil
 from tests.unit.depth_evidence.synthetic import as_image, leaves, make_bank, photograph
 from workbench.depth.evidence import EvidenceOptions, estimate_evidence
+from workbench.depth.evidence_colour import informative_plane
 from workbench.depth.evidence_learn import learn
 from workbench.depth.evidence_model import LEARNED, Learned
+from workbench.depth.evidence_spectrum import mixed_power
 from workbench.depth.regions import whole
 
 SIDE = 128 + 40
@@ -86,6 +88,56 @@ def test_gaussian_texture_has_no_side_and_is_called_ambiguous(bank: Bank) -> Non
     found = estimate_evidence(image, bank, whole(image.shape))[1]
     assert found.status == "ambiguous"
     assert found.interval_mm[0] <= 2600.0 <= found.interval_mm[1]
+
+
+def test_bright_edges_of_a_neighbour_do_not_pass_for_sparseness(bank: Bank) -> None:
+    wall = photograph(0.45 + 0.2 * (leaves(SIDE + 88, 12) - 0.4), 2900.0)
+    mask = np.ones(wall.shape, bool)
+    planes = wall.planes.copy()
+    rows, columns = np.mgrid[: wall.shape[0], : wall.shape[1]]
+    for corner in ((70, 70), (0, 150), (150, 0), (160, 160)):
+        beside = (abs(rows - corner[0] - 20) < 20) & (abs(columns - corner[1] - 20) < 20)
+        planes[beside] = 0.9 * ((rows // 4 + columns // 4) % 2)[beside][:, np.newaxis]
+        mask &= ~beside
+    found = estimate_evidence(as_image(planes), bank, mask.astype(np.int32))[1]
+    assert found.interval_mm[0] <= 2900.0 <= found.interval_mm[1]
+    assert abs(found.depth_mm - 2900.0) < 200.0
+
+
+def test_two_colours_of_equal_brightness_are_texture(bank: Bank) -> None:
+    grey = photograph(leaves(SIDE, 14), 2400.0).planes[:, :, :1]
+    image = as_image(np.asarray(0.5 + (grey - 0.5) * np.array([1.0, -0.5, 0.0], np.float32), np.float32))
+    noisy = image.planes + 0.003 * np.random.default_rng(4).standard_normal(image.planes.shape)
+    image = as_image(noisy.astype(np.float32))
+    found = estimate_evidence(image, bank, whole(image.shape))[1]
+    assert found.status == "ok"
+    assert abs(found.depth_mm - 2400.0) < 60.0
+    plain = estimate_evidence(image, bank, whole(image.shape), EvidenceOptions(colour_gain=1e9))[1]
+    assert plain.status != "ok"
+
+
+def test_grey_surface_is_measured_by_its_luminance() -> None:
+    image = photograph(leaves(SIDE, 15), 2400.0)
+    plane, weights = informative_plane(image, np.ones(image.shape, bool), 1.6)
+    np.testing.assert_array_equal(plane, image.luminance)
+    assert weights.tolist() == [0.25, 0.5, 0.25]
+
+
+def test_region_of_two_depths_says_so(bank: Bank) -> None:
+    left, right = (photograph(leaves(SIDE + 100, seed), depth) for seed, depth in ((16, 2100.0), (17, 1250.0)))
+    across = np.arange(left.shape[1])[:, np.newaxis] < left.shape[1] // 2
+    image = as_image(np.where(across, left.planes, right.planes))
+    found = estimate_evidence(image, bank, whole(image.shape))[1]
+    assert found.status == "ambiguous"
+    assert "not the same all over" in found.reason
+
+
+def test_mixture_of_neighbouring_blurs_is_their_mean() -> None:
+    radii = np.arange(0.5, 12.5)
+    flat = np.broadcast_to(radii.astype(np.float32)[:, np.newaxis, np.newaxis], (12, 4, 3)).copy()
+    mixed = mixed_power(flat, radii, 2.0)
+    # about 0.5, 3.5, 6.5, 9.5; below 0 a radius counts as the other side's
+    np.testing.assert_allclose(mixed[:, 0, 0], [1.3, 3.5, 6.5, 9.5], atol=0.11)
 
 
 def test_learning_is_reproducible_and_round_trips(bank: Bank) -> None:

@@ -7,6 +7,7 @@ from matplotlib.path import Path as Outline
 from rigs.errors import ConfigError
 from rigs.simulated.blur import blur_through
 from rigs.simulated.lens import Lens, PolygonPupil, point_image
+from rigs.simulated.perspective import in_perspective
 from rigs.simulated.rig import render_scene_frame
 from rigs.simulated.scene import Scene, SceneObject, scene_light, scene_truth
 from rigs.simulated.scenes import four_objects, plane_scene, rectangle, scene_by_name
@@ -116,6 +117,19 @@ def test_a_slanted_plane_is_sharp_where_it_crosses_the_focus() -> None:
     focus_at = int(np.argmin(np.abs(truth - 1600.0))) * 2 // 56
     assert abs(int(np.argmax(detail)) - focus_at) <= 1
     assert detail.max() > 3 * detail[0]
+
+
+def test_a_grazing_view_shortens_a_texture_and_leaves_its_width_sharp() -> None:
+    fine = (np.random.default_rng(1).random((256, 256)) > 0.5).astype(np.float32)
+
+    def lying(rows: np.ndarray, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        shape = np.broadcast_shapes(rows.shape, columns.shape)
+        return np.broadcast_to(columns, shape).astype(np.float32), np.broadcast_to(6.0 * rows, shape).astype(np.float32)
+
+    seen = in_perspective(fine, (40, 200), lying)
+    expected = fine[:240, :200].reshape(40, 6, 200).mean(axis=1)
+    assert np.abs(seen - expected).mean() < 0.3 * expected.std()
+    assert seen.std() > 0.7 * expected.std()  # linear interpolation takes a little
 
 
 def test_truth_gives_the_nearest_object_and_perspective_depth() -> None:
