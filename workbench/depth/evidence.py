@@ -21,7 +21,7 @@ from calibration.image import LinearImage
 from workbench.depth.estimate import DepthEstimate, Status
 from workbench.depth.evidence_colour import informative_plane
 from workbench.depth.evidence_model import DepthModel, EvidenceOptions, Learned, learned_of, prepare
-from workbench.depth.evidence_posterior import find_modes, mode_scores, signed_posterior, summarise
+from workbench.depth.evidence_posterior import Refined, find_modes, mode_scores, signed_posterior, summarise
 from workbench.depth.evidence_side import sparseness
 from workbench.depth.evidence_spectrum import (
     SpectralFit,
@@ -31,7 +31,7 @@ from workbench.depth.evidence_spectrum import (
     mixed_power,
     smeared_power,
 )
-from workbench.depth.evidence_windows import Window, place_windows, pooled_periodogram, soft_mask
+from workbench.depth.evidence_windows import Pooled, Window, place_windows, pooled_periodogram, soft_mask
 
 __all__ = [
     "DepthModel",
@@ -47,6 +47,8 @@ FloatArray = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 _SOFT_MARGIN_PX = 24.0
+_REFINED_STEPS, _REFINED_FINER, _REFINED_FISHER_STEPS = 2, 4, 6
+_REFINED_WITHIN, _NARROW = 30.0, 5.0
 _ENOUGH = 0.7
 """Full windows' worth of region below which smaller windows are tried."""
 _LOW_CYCLES = 6.0
@@ -89,6 +91,7 @@ class Observation:
     """What a region's pixels say, before anything learned is applied."""
 
     windows: list[Window]
+    pooled: Pooled
     soft: NDArray[np.float32]
     """The region with a soft edge, 1 inside; float32 (H, W)."""
     fit: SpectralFit
@@ -113,8 +116,7 @@ def observe(plane: NDArray[np.float32], mask: Mask, model: DepthModel, options: 
             return None
     pooled = pooled_periodogram(plane, windows, model.kernel_lags.shape[1] // 2)
     expected = smeared_power(model.kernel_lags, pooled.taper_lags, size)
-    averages = max(1.0, 0.7 * pooled.averages)
-    factor = TextureFactor(options.factor_spread, options.factor_wide_share, options.factor_wide_spread)
+    averages, factor = _trusted(pooled), _factor(options)
     fit = fit_spectra(pooled.power, averages, expected, factor=factor)
     mixtures = mixed_power(expected, model.row_radius_px, options.varied_px)
     varied = float((fit_spectra(pooled.power, averages, mixtures, factor=factor).log_likelihood).max())
@@ -122,12 +124,48 @@ def observe(plane: NDArray[np.float32], mask: Mask, model: DepthModel, options: 
     soft = soft_mask(mask, margin_px=min(margin, _SOFT_MARGIN_PX), ramp_px=12.0)
     return Observation(
         windows,
+        pooled,
         soft,
         fit,
         max(pixels, size * size * windows[0].weight),
         _low_share(pooled.power, fit),
         varied - float(fit.log_likelihood.max()),
     )
+
+
+def _trusted(pooled: Pooled) -> float:
+    return max(1.0, 0.7 * pooled.averages)
+
+
+def _factor(options: EvidenceOptions) -> TextureFactor:
+    return TextureFactor(options.factor_spread, options.factor_wide_share, options.factor_wide_spread)
+
+
+def refine(seen: Observation, row: int, model: DepthModel, options: EvidenceOptions) -> Refined:
+    """Likelihood about one row on a fine grid, each blur fitted to convergence.
+
+    A large, rich region tells radii apart that differ by far less than the rows do, and few steps from row to row
+    follow such a narrow ridge too slowly.
+    """
+    reach = _REFINED_STEPS * options.radius_step_px
+    offsets = np.linspace(-reach, reach, 2 * _REFINED_STEPS * _REFINED_FINER + 1)
+    radius = model.row_radius_px[row] + offsets
+    if model.row_radius_px.min() >= 0:
+        radius = radius[radius > 0]
+        sigma = radius * np.sign(model.row_sigma_px[row])
+    else:
+        sigma = radius
+    expected = smeared_power(model.lags_at(sigma), seen.pooled.taper_lags, seen.pooled.power.shape[0])
+    start = seen.fit.coefficients[row], float(seen.fit.log_noise[row])
+    averages, factor = _trusted(seen.pooled), _factor(options)
+    fit = fit_spectra(seen.pooled.power, averages, expected, factor=factor, start=start, steps=_REFINED_FISHER_STEPS)
+    return Refined(radius, fit.log_likelihood)
+
+
+def _narrow(likelihood: FloatArray, row: int) -> bool:
+    """Whether the likelihood falls steeply enough from this row to the next ones for them to miss its shape."""
+    beside = likelihood[max(row - 1, 0) : row + 2]
+    return bool(likelihood[row] - beside.min() > _NARROW)
 
 
 def _low_share(power: FloatArray, fit: SpectralFit) -> float:
@@ -199,7 +237,14 @@ def _conclude(
     modes = find_modes(likelihood, model.row_radius_px)
     sparse = np.stack([side_features(plane, seen, row, model, options) for row in modes])
     far, near = mode_scores(sparse, np.asarray(model.sides_in_reach[modes].all(axis=1)), seen.pixels, learned)
-    sigma, log_post = signed_posterior(learned.temperature * likelihood, modes, far, near, model)
+    best = float(likelihood[modes].max())
+    refined = [
+        refine(seen, row, model, options)
+        for row in modes
+        if likelihood[row] > best - _REFINED_WITHIN and _narrow(likelihood, row)
+    ]
+    tempered = [Refined(part.radius_px, learned.temperature * part.log_likelihood) for part in refined]
+    sigma, log_post = signed_posterior(learned.temperature * likelihood, modes, far, near, model, tempered)
     diagnostics = {
         "radius_px": model.row_radius_px,
         "log_likelihood": likelihood,

@@ -134,6 +134,8 @@ class DepthModel:
         intp (G,): row of ``kernel_lags`` for each signed radius.
     row_radius_px
         float64 (R,): |radius| of each row, or the signed one where the sides are not mirror images.
+    row_sigma_px
+        float64 (R,): signed radius whose PSF made the row.
     kernel_lags
         float32 (R, 2 L + 1, 2 L + 1): autocorrelations of the PSFs, their error included.
     sigma_se_px
@@ -145,8 +147,11 @@ class DepthModel:
     depths_mm: FloatArray
     row_of: NDArray[np.intp]
     row_radius_px: FloatArray
+    row_sigma_px: FloatArray
     kernel_lags: NDArray[np.float32]
     sigma_se_px: FloatArray
+    psf_error: float
+    """Standard error of the PSFs relative to their values, taken for white."""
 
     @property
     def sides_in_reach(self) -> Mask:
@@ -158,6 +163,12 @@ class DepthModel:
         """Depth of a signed radius."""
         far, near = self.psfs.radius_px(1e12), self.psfs.radius_px(1.0)
         return (near - far) / (sigma_px - far)
+
+    def lags_at(self, sigma_px: FloatArray) -> NDArray[np.float32]:
+        """Autocorrelations like ``kernel_lags`` for any signed radii, float32 (n, 2 L + 1, 2 L + 1)."""
+        size = (self.kernel_lags.shape[1] + 1) // 2
+        psfs = (self.psfs.psf_at(self.depth_mm(float(sigma)), size) for sigma in sigma_px)
+        return np.stack([_autocorrelation(psf, self.psf_error) for psf in psfs])
 
 
 def prepare(bank: Bank, options: EvidenceOptions, field_index: int | None = None) -> DepthModel:
@@ -186,7 +197,7 @@ def prepare(bank: Bank, options: EvidenceOptions, field_index: int | None = None
     lags = [_autocorrelation(psfs.psf_at(float((near - far) / (r - far)), size), error) for r in rows]
     lens = bank.lens
     se = np.hypot(lens.scale_se_px * (1.0 - lens.focus_mm / depths), lens.scale_px * lens.focus_se_mm / depths)
-    return DepthModel(psfs, sigma, depths, row_of, radius, np.stack(lags), se)
+    return DepthModel(psfs, sigma, depths, row_of, radius, rows, np.stack(lags), se, error)
 
 
 def _autocorrelation(psf: NDArray[np.float32], error: float) -> NDArray[np.float32]:

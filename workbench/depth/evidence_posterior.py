@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
@@ -58,19 +61,37 @@ def find_modes(
     return found
 
 
+@dataclass(frozen=True, slots=True)
+class Refined:
+    """Log-likelihood about a mode on a fine grid of ascending radii (signed as the rows are); float64 (n,) each."""
+
+    radius_px: FloatArray
+    log_likelihood: FloatArray
+
+
 def signed_posterior(
-    log_rows: FloatArray, modes: list[int], far: FloatArray, near: FloatArray, model: DepthModel
+    log_rows: FloatArray,
+    modes: list[int],
+    far: FloatArray,
+    near: FloatArray,
+    model: DepthModel,
+    refined: Sequence[Refined] = (),
 ) -> tuple[FloatArray, FloatArray]:
     """Unnormalised log posterior on a finer grid of signed radii, from the rows' and the modes' log-likelihoods.
 
-    Between the modes the nearest one's sparseness holds.
+    Between the modes the nearest one's sparseness holds. Where the likelihood was refined that replaces the rows'.
     """
     nearest = np.abs(np.arange(log_rows.size)[:, np.newaxis] - np.array(modes)).argmin(axis=1)
     sigma = model.sigma_px
     side = np.where(sigma > 0, far[nearest][model.row_of], near[nearest][model.row_of])
     fine = np.linspace(sigma[0], sigma[-1], (sigma.size - 1) * _FINER + 1)
     closest = np.clip(np.rint((fine - sigma[0]) / (sigma[1] - sigma[0])).astype(int), 0, sigma.size - 1)
-    return fine, CubicSpline(sigma, log_rows[model.row_of])(fine) + side[closest]
+    log_likelihood = CubicSpline(sigma, log_rows[model.row_of])(fine)
+    place = np.abs(fine) if model.row_radius_px.min() >= 0 else fine
+    for part in refined:
+        within = (place >= part.radius_px[0]) & (place <= part.radius_px[-1])
+        log_likelihood[within] = CubicSpline(part.radius_px, part.log_likelihood)(place[within])
+    return fine, log_likelihood + side[closest]
 
 
 def summarise(

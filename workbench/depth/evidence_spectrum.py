@@ -208,6 +208,8 @@ def fit_spectra(
     *,
     correlation: float = 0.3,
     factor: TextureFactor | None = None,
+    start: tuple[FloatArray, float] | None = None,
+    steps: int = 2,
 ) -> SpectralFit:
     """Fit texture and noise for every blur and say how well it explains the periodogram.
 
@@ -224,6 +226,10 @@ def fit_spectra(
         Neighbouring frequencies of a tapered window are not independent; the log-likelihood is multiplied by this.
     factor
         The texture's factor per frequency.
+    start
+        Coefficients and log noise to start from; without them they are sought for the first blur.
+    steps
+        Fisher scoring steps for each blur.
     """
     factor = factor or TextureFactor()
     size = power.shape[0]
@@ -234,16 +240,19 @@ def fit_spectra(
     worth = min(_AVERAGES, key=lambda a: abs(np.log(a / max(averages, 1.0))))
     tables = _tables(worth, factor.spread, factor.wide_share, factor.wide_spread)
     precision, pull = _prior(terms.shape[1])
-    start = np.zeros(terms.shape[1])
-    low = modulus[used] < np.exp(_KNOTS[1]) * 1.4
-    start[: _KNOTS.size] = np.median(log_power[low]) + _SLOPE * (_KNOTS - _KNOTS[0])
     # the lowest tenth is noise, or less than texture: single periodograms scatter far below their mean
     noise = float(np.log(max(float(np.percentile(power[used], 10)), 1e-16) / (0.3 if worth < 4 else 1.0)))
-    design = np.ascontiguousarray(terms, np.float32)
-    arguments = (design, precision, pull)
-    _, warm, warm_noise = _scan(log_power, log_expected[:1], *arguments, start, noise, noise, 12, correlation, *tables)
+    arguments = (np.ascontiguousarray(terms, np.float32), precision, pull)
+    if start is None:
+        first = np.zeros(terms.shape[1])
+        low = modulus[used] < np.exp(_KNOTS[1]) * 1.4
+        first[: _KNOTS.size] = np.median(log_power[low]) + _SLOPE * (_KNOTS - _KNOTS[0])
+        _, warm, warm_noise = _scan(
+            log_power, log_expected[:1], *arguments, first, noise, noise, 12, correlation, *tables
+        )
+        start = warm[0], float(warm_noise[0])
     likelihood, coefficients, log_noise = _scan(
-        log_power, log_expected, *arguments, warm[0], float(warm_noise[0]), noise, 2, correlation, *tables
+        log_power, log_expected, *arguments, *start, noise, steps, correlation, *tables
     )
     return SpectralFit(likelihood, _noise_alone(log_power, tables[0], correlation), coefficients, log_noise)
 
