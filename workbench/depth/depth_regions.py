@@ -4,7 +4,8 @@ Two grey objects that touch are one region to any segmentation by colour, and a 
 the likelihood of every blur radius is computed in windows on a coarse grid over the whole frame; neighbouring cells are
 merged, the most compatible first, as long as one common radius explains both nearly as well as one radius each. The
 outlines come from the colour regions: one that lies within one piece goes to it as a whole, one that spans several is
-cut along the grid. Radii are compared without their side of focus, which single windows can't tell.
+cut along the grid. Radii are compared without their side of focus first, which single windows can't tell; then what
+has one radius is merged anew by its side, so that two objects at mirror depths don't stay one.
 """
 
 from __future__ import annotations
@@ -17,13 +18,17 @@ from scipy import ndimage
 
 from calibration.bank import Bank
 from calibration.image import LinearImage
-from workbench.depth.evidence import EvidenceOptions
-from workbench.depth.evidence_model import DepthModel, prepare
+from workbench.depth.depth_region_sides import side_likelihoods
+from workbench.depth.evidence_model import DepthModel, EvidenceOptions, learned_of, prepare
 from workbench.depth.evidence_spectrum import fit_spectra, smeared_power
 from workbench.depth.evidence_windows import Window, hann, pooled_periodogram
 
 FloatArray = NDArray[np.float64]
 Labels = NDArray[np.int32]
+
+
+_WINDOW_SHARE = 0.37
+"""Area of a window of which its taper makes use: the squared mean of a Hann taper's energy, both ways."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,8 +43,8 @@ class DepthRegionOptions:
         Spacing of the grid: at least so many pixels, and at most so many cells along the longer side.
     radius_step_px
         Step between the radii that are compared.
-    tolerance
-        Log-likelihood that two pieces may lose by a common radius and still be merged.
+    tolerance, side_tolerance
+        Log-likelihood that two pieces may lose by a common radius, or by a common side of focus, and still be merged.
     least_cells
         A piece of fewer cells is given to the neighbour that suits it best.
     whole_share
@@ -53,6 +58,7 @@ class DepthRegionOptions:
     most_cells: int = 20
     radius_step_px: float = 1.0
     tolerance: float = 8.0
+    side_tolerance: float = 4.0
     least_cells: int = 3
     whole_share: float = 0.5
     least_fraction: float = 0.005
@@ -85,31 +91,43 @@ def regions_of_one_depth(
         return labels
     cell = max(options.least_cell_px, int(np.ceil(max(height, width) / options.most_cells)))
     shape = -(-height // cell), -(-width // cell)
-    likelihood = _cell_likelihoods(image, bank, cell, shape, options)
-    pieces = _merge(likelihood, shape, options).reshape(shape)
+    model: DepthModel = prepare(bank, EvidenceOptions(radius_step_px=options.radius_step_px))
+    windows = _cell_windows(image.shape, cell, shape, options)
+    likelihood = _cell_likelihoods(image.luminance, windows, model)
+    whole = np.zeros(len(windows), np.int32)
+    alike = _merge(likelihood, shape, whole, options.tolerance, options.least_cells)
+    overlap = min(1.0, (cell / options.window_px) ** 2 / _WINDOW_SHARE)
+    sides = side_likelihoods(
+        image.luminance, windows, alike, likelihood, model, learned_of(bank),
+        least_cells=options.least_cells, overlap=overlap,
+    )  # fmt: skip
+    pieces = _merge(sides, shape, alike, options.side_tolerance, options.least_cells).reshape(shape)
     by_pixel = pieces.repeat(cell, axis=0)[:height].repeat(cell, axis=1)[:, :width]
     return _by_size(_with_outlines(by_pixel, labels, options.whole_share), options.least_fraction)
 
 
-def _cell_likelihoods(
-    image: LinearImage, bank: Bank, cell: int, shape: tuple[int, int], options: DepthRegionOptions
-) -> FloatArray:
-    """Log-likelihood of each radius in a window about each cell's centre, float64 (cells, R)."""
-    model: DepthModel = prepare(bank, EvidenceOptions(radius_step_px=options.radius_step_px))
-    plane, size = image.luminance, options.window_px
+def _cell_windows(
+    image_shape: tuple[int, int], cell: int, shape: tuple[int, int], options: DepthRegionOptions
+) -> list[Window]:
+    """A window about each cell's centre, row by row."""
+    size = options.window_px
     taper = np.outer(hann(size), hann(size)).astype(np.float32)
-    rows = _corners(shape[0], cell, size, image.shape[0])
-    columns = _corners(shape[1], cell, size, image.shape[1])
-    lags = model.kernel_lags.shape[1] // 2
+    rows = _corners(shape[0], cell, size, image_shape[0])
+    columns = _corners(shape[1], cell, size, image_shape[1])
+    return [Window(y, x, taper, 1.0) for y in rows for x in columns]
+
+
+def _cell_likelihoods(plane: NDArray[np.float32], windows: list[Window], model: DepthModel) -> FloatArray:
+    """Log-likelihood of each radius in each window, float64 (cells, R)."""
+    lags, size = model.kernel_lags.shape[1] // 2, windows[0].taper.shape[0]
     expected: NDArray[np.float32] | None = None
     result = []
-    for y in rows:
-        for x in columns:
-            pooled = pooled_periodogram(plane, [Window(y, x, taper, 1.0)], lags)
-            if expected is None:
-                expected = _low_half(smeared_power(model.kernel_lags, pooled.taper_lags, size))
-            power = _low_half(pooled.power[np.newaxis])[0]
-            result.append(fit_spectra(power, 1.0, expected).log_likelihood)
+    for window in windows:
+        pooled = pooled_periodogram(plane, [window], lags)
+        if expected is None:
+            expected = _low_half(smeared_power(model.kernel_lags, pooled.taper_lags, size))
+        power = _low_half(pooled.power[np.newaxis])[0]
+        result.append(fit_spectra(power, 1.0, expected).log_likelihood)
     return np.stack(result)
 
 
@@ -125,15 +143,18 @@ def _low_half(power: NDArray[np.floating]) -> NDArray[np.floating]:
     return np.ascontiguousarray(power[:, rows, : n // 4 + 1])
 
 
-def _merge(likelihood: FloatArray, shape: tuple[int, int], options: DepthRegionOptions) -> NDArray[np.int32]:
-    """Agglomerate neighbouring cells; returns the piece of each cell, numbered from 1."""
+def _merge(
+    likelihood: FloatArray, shape: tuple[int, int], within: NDArray[np.int32], tolerance: float, least_cells: int
+) -> NDArray[np.int32]:
+    """Agglomerate neighbouring cells of the same ``within``; returns the piece of each cell, numbered from 1."""
     total = likelihood.shape[0]
     number = np.arange(total).reshape(shape)
     adjacent: dict[int, set[int]] = {index: set() for index in range(total)}
     for a, b in ((number[1:], number[:-1]), (number[:, 1:], number[:, :-1])):
         for i, j in zip(a.ravel().tolist(), b.ravel().tolist(), strict=True):
-            adjacent[i].add(j)
-            adjacent[j].add(i)
+            if within[i] == within[j]:
+                adjacent[i].add(j)
+                adjacent[j].add(i)
     parent = np.arange(total)
     evidence, best = likelihood.copy(), likelihood.max(axis=1)
     size = np.ones(total, int)
@@ -144,9 +165,9 @@ def _merge(likelihood: FloatArray, shape: tuple[int, int], options: DepthRegionO
     losses = {(i, j): loss(i, j) for i in adjacent for j in adjacent[i] if i < j}
     while losses:
         (keep, gone), smallest = min(losses.items(), key=lambda entry: entry[1])
-        if smallest > options.tolerance:
+        if smallest > tolerance:
             # what is too small to stand alone goes to the neighbour that suits it best
-            small = {p: v for p, v in losses.items() if min(size[p[0]], size[p[1]]) < options.least_cells}
+            small = {p: v for p, v in losses.items() if min(size[p[0]], size[p[1]]) < least_cells}
             if not small:
                 break
             keep, gone = min(small, key=small.__getitem__)

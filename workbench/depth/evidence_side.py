@@ -24,6 +24,7 @@ FAMILIES = ("wiener half", "whitened", "wiener", "band 0.35", "band 0.18", "band
 """Filter families, four directions each; one feature each."""
 _EXPONENT = 0.8
 _BANDS = (0.35, 0.18, 0.09)
+_DIRECTIONS = 4
 _CONTEXT = 32
 _FADE = 16
 
@@ -56,6 +57,39 @@ def sparseness(
     -------
     float64 (len(psfs), len(FAMILIES)).
     """
+    lower, power, weight = _moments(plane, soft, windows, psfs, coefficients, log_noise)
+    return _log_ratio(lower.sum(axis=-1) / weight.sum(), power.sum(axis=-1) / weight.sum())
+
+
+def sparseness_by_window(
+    plane: NDArray[np.float32],
+    soft: NDArray[np.float32],
+    windows: Sequence[Window],
+    psfs: Sequence[NDArray[np.float32]],
+    coefficients: FloatArray,
+    log_noise: float,
+) -> FloatArray:
+    """Like :func:`sparseness`, for each window by itself; float64 (len(windows), len(psfs), len(FAMILIES))."""
+    lower, power, weight = _moments(plane, soft, windows, psfs, coefficients, log_noise)
+    by_window = (np.moveaxis(sums / weight, -1, 0) for sums in (lower, power))
+    return _log_ratio(*by_window)
+
+
+def _log_ratio(lower: FloatArray, power: FloatArray) -> FloatArray:
+    """Mean over directions (last axis) of the log of a moment of order 0.8 over the mean square to the same power."""
+    ratio = np.log(lower + 1e-30) - _EXPONENT / 2 * np.log(power + 1e-30)
+    return np.asarray(ratio.mean(axis=-1))
+
+
+def _moments(
+    plane: NDArray[np.float32],
+    soft: NDArray[np.float32],
+    windows: Sequence[Window],
+    psfs: Sequence[NDArray[np.float32]],
+    coefficients: FloatArray,
+    log_noise: float,
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Sums of |g|^0.8 and of g^2 under the squared tapers, float64 (P, F, 4, W), and the tapers' own, float64 (W,)."""
     inner = windows[0].taper.shape[0]
     size = inner + 2 * _CONTEXT
     fade = np.ones(size)
@@ -67,17 +101,16 @@ def sparseness(
     patches -= ((patches * seen).sum(axis=(1, 2)) / seen.sum(axis=(1, 2)))[:, np.newaxis, np.newaxis]
     spectra = fft.rfft2((patches * seen).astype(np.float32))
     weights = np.stack([w.taper**2 for w in windows])
-    weights /= weights.sum()
-    result = np.zeros((len(psfs), len(FAMILIES)))
+    lower, power = np.zeros((2, len(psfs), len(FAMILIES), _DIRECTIONS, len(windows)))
     for i, psf in enumerate(psfs):
         for j, filters in enumerate(_filters(psf, size, coefficients, log_noise)):
-            for filt in filters:
+            for k, filt in enumerate(filters):
                 response = fft.irfft2(spectra * filt, s=(size, size))[:, _CONTEXT:-_CONTEXT, _CONTEXT:-_CONTEXT]
                 square = response * response
-                power = float((weights * square).sum())
-                lower = float((weights * (square + 1e-30) ** (_EXPONENT / 2)).sum())
-                result[i, j] += (np.log(lower) - _EXPONENT / 2 * np.log(power + 1e-30)) / len(filters)
-    return result
+                power[i, j, k] = np.einsum("wyx,wyx->w", weights, square, dtype=np.float64)
+                root = (square + np.float32(1e-30)) ** np.float32(_EXPONENT / 2)
+                lower[i, j, k] = np.einsum("wyx,wyx->w", weights, root, dtype=np.float64)
+    return lower, power, weights.sum(axis=(1, 2), dtype=np.float64)
 
 
 def _filters(psf: NDArray[np.float32], size: int, coefficients: FloatArray, log_noise: float) -> list[list[Complex]]:

@@ -1,0 +1,75 @@
+"""On which side of focus each cell of a piece lies, so that mirror depths with the same blur don't stay one region."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import log_expit
+
+from workbench.depth.evidence_model import DepthModel, Learned
+from workbench.depth.evidence_side import sparseness_by_window
+from workbench.depth.evidence_spectrum import fit_spectra, smeared_power
+from workbench.depth.evidence_windows import Window, pooled_periodogram
+
+FloatArray = NDArray[np.float64]
+
+_LEAST_RADIUS_PX = 1.5
+"""Nearer to focus than this the two sides are the same depth, all but."""
+_SPECTRUM_WINDOWS = 9
+
+
+def side_likelihoods(
+    plane: NDArray[np.float32],
+    windows: Sequence[Window],
+    pieces: NDArray[np.int32],
+    likelihood: FloatArray,
+    model: DepthModel,
+    learned: Learned,
+    *,
+    least_cells: int,
+    overlap: float,
+) -> FloatArray:
+    """Log-probability of the far and of the near side for each cell, at its piece's radius.
+
+    Parameters
+    ----------
+    plane
+        float32 (H, W).
+    windows
+        One about each cell.
+    pieces
+        int32 (cells,): pieces of one |radius|.
+    likelihood
+        float64 (cells, R): log-likelihood of each of the model's rows.
+    model, learned
+        The bank, made ready.
+    least_cells
+        Pieces with fewer than twice as many cells are left whole.
+    overlap
+        Share of what a window says that is the cell's own; neighbouring windows see much of the same pixels.
+
+    Returns
+    -------
+    float64 (cells, 2)
+        Zeros where a piece has one side only, or is too small or too near to focus to be split.
+    """
+    result = np.zeros((len(windows), 2))
+    everywhere = np.ones_like(plane)
+    for piece in np.unique(pieces):
+        cells = np.flatnonzero(pieces == piece)
+        row = int(likelihood[cells].sum(axis=0).argmax())
+        radius = abs(float(model.row_radius_px[row]))
+        if cells.size < 2 * least_cells or radius < _LEAST_RADIUS_PX or not model.sides_in_reach[row].all():
+            continue
+        own = [windows[int(cell)] for cell in cells]
+        pooled = pooled_periodogram(plane, own[:: -(-len(own) // _SPECTRUM_WINDOWS)], model.kernel_lags.shape[1] // 2)
+        expected = smeared_power(model.kernel_lags[row : row + 1], pooled.taper_lags, pooled.power.shape[0])
+        fit = fit_spectra(pooled.power, max(1.0, 0.7 * pooled.averages), expected)
+        size = (model.kernel_lags.shape[1] + 1) // 2
+        psfs = [model.psfs.psf_at(model.depth_mm(sign * radius), size) for sign in (1.0, -1.0)]
+        sparse = sparseness_by_window(plane, everywhere, own, psfs, fit.coefficients[0], float(fit.log_noise[0]))
+        odds = overlap * (sparse[:, 1] - sparse[:, 0]) @ np.array(learned.side_weights)
+        result[cells] = np.stack([log_expit(odds), log_expit(-odds)], axis=1)
+    return result
