@@ -20,7 +20,7 @@ from rigs.simulated.scene import SceneTruth, scene_truth
 from rigs.simulated.scenes import scene_by_name
 from rigs.simulated.world import SimulatedRigSettings, SimulatedWorld
 from rigs.zaber_stage import ZaberSettings, ZaberStage
-from workbench.config import RigConfig, StageConfig
+from workbench.config import PanelConfig, RigConfig, StageConfig
 from workbench.units import cm
 
 Tell = Callable[[str], None]
@@ -130,9 +130,9 @@ def open_stage(opening: _Opening) -> Stage:
         case "manual":
             stage: Stage = _manual_stage(config)
         case "grbl":
-            stage = _grbl_stage(config)
+            stage = GrblStage(grbl_settings(config))
         case "zaber":
-            stage = _zaber_stage(config)
+            stage = ZaberStage(zaber_settings(config))
     return FollowedStage(stage, opening.world)
 
 
@@ -143,31 +143,29 @@ def _manual_stage(config: StageConfig) -> ManualStage:
     return ManualStage(settings, _ask_operator)
 
 
-def _grbl_stage(config: StageConfig) -> GrblStage:
-    return GrblStage(
-        GrblSettings(
-            port=config.port,
-            baud_rate=config.baud_rate,
-            axis=config.axis if isinstance(config.axis, str) else "X",
-            speed_mm_s=config.speed_mm_s,
-            limits_mm=config.limits_mm,
-            allow_without_homing=config.allow_without_homing,
-            allow_without_soft_limits=config.allow_without_soft_limits,
-        )
+def grbl_settings(config: StageConfig) -> GrblSettings:
+    """What rig.yaml says of a GRBL stage."""
+    return GrblSettings(
+        port=config.port,
+        baud_rate=config.baud_rate,
+        axis=config.axis if isinstance(config.axis, str) else "X",
+        speed_mm_s=config.speed_mm_s,
+        limits_mm=config.limits_mm,
+        allow_without_homing=config.allow_without_homing,
+        allow_without_soft_limits=config.allow_without_soft_limits,
     )
 
 
-def _zaber_stage(config: StageConfig) -> ZaberStage:
-    return ZaberStage(
-        ZaberSettings(
-            port=config.port,
-            microstep_mm=config.microstep_mm or 0.0,
-            baud_rate=config.baud_rate,
-            device=config.device,
-            axis=config.axis if isinstance(config.axis, int) else 1,
-            speed_mm_s=config.speed_mm_s,
-            limits_mm=config.limits_mm,
-        )
+def zaber_settings(config: StageConfig) -> ZaberSettings:
+    """What rig.yaml says of a Zaber stage."""
+    return ZaberSettings(
+        port=config.port,
+        microstep_mm=config.microstep_mm or 0.0,
+        baud_rate=config.baud_rate,
+        device=config.device,
+        axis=config.axis if isinstance(config.axis, int) else 1,
+        speed_mm_s=config.speed_mm_s,
+        limits_mm=config.limits_mm,
     )
 
 
@@ -179,19 +177,22 @@ def _ask_operator(question: str) -> str:
     return answer.rstrip("\n")
 
 
+def browser_panel_settings(config: PanelConfig) -> BrowserPanelSettings:
+    """What rig.yaml says of a panel in a browser."""
+    return BrowserPanelSettings(
+        host=config.host,
+        port=config.port,
+        token=config.token,
+        ack_timeout_s=config.ack_timeout_s,
+        require_fullscreen=config.require_fullscreen,
+    )
+
+
 def open_panel(opening: _Opening) -> Panel:
     """The panel of rig.yaml; one in a browser is waited for until a page is connected and ready."""
     config = opening.config.panel
     if config.kind == "browser":
-        panel = BrowserPanel(
-            BrowserPanelSettings(
-                host=config.host,
-                port=config.port,
-                token=config.token,
-                ack_timeout_s=config.ack_timeout_s,
-                require_fullscreen=config.require_fullscreen,
-            )
-        )
+        panel = BrowserPanel(browser_panel_settings(config))
         opening.tell(panel.invitation())
         try:
             panel.wait_ready(_PAGE_PATIENCE_S)
