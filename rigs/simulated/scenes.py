@@ -5,12 +5,15 @@ from __future__ import annotations
 import math
 import re
 
+import numpy as np
+
 from rigs.errors import ConfigError
 from rigs.simulated.scene import Colour, Scene, SceneObject
 from rigs.simulated.textures import TEXTURES
 
 _WALL_MM, _FRONT_MM = 3500.0, 800.0
 _TABLE_TOP, _TABLE_BOTTOM = 0.60, 1.0
+_DRAWN_TEXTURES = ("chart", "text", "leaves", "gravel", "grass", "brick", "letters", "masonry")
 
 
 def rectangle(x0: float, y0: float, x1: float, y1: float) -> tuple[tuple[float, float], ...]:
@@ -83,8 +86,32 @@ def four_objects(seed: int = 0) -> Scene:
     )  # fmt: skip
 
 
+def drawn_objects(seed: int = 0) -> Scene:
+    """Four upright objects before a wall, overlapping, all drawn at random: places, depths, textures and colours.
+
+    Depths are uniform in 1/z from 75 to 270 cm, the wall stands at 280 to 340 cm.
+    """
+    generator = np.random.default_rng([seed, 0x5C])
+
+    def item(name: str, texture_name: str, outline: tuple[tuple[float, float], ...], depth_mm: float) -> SceneObject:
+        dark, light = (tuple(generator.uniform(low, high, 3)) for low, high in ((0.03, 0.25), (0.5, 0.95)))
+        number = int(generator.integers(2**31))
+        return SceneObject(name, texture_name, outline, (depth_mm,) * 3, number, 1.0, dark, light)
+
+    wall = str(generator.choice(("masonry", "leaves", "brick")))
+    objects = [item("wall", wall, rectangle(-0.2, -0.2, 1.2, 1.2), float(generator.uniform(2800.0, 3400.0)))]
+    inverse = np.sort(generator.uniform(1 / 2700.0, 1 / 750.0, 4))  # farthest first
+    for number, column in enumerate(generator.permutation(4)):
+        wide, high = generator.uniform(0.24, 0.34), generator.uniform(0.28, 0.42)
+        x, y = 0.24 * column + generator.uniform(-0.02, 0.03), generator.uniform(0.05, 0.66 - high)
+        outline = rectangle(x, y, x + wide, y + high)
+        texture_name = str(generator.choice(_DRAWN_TEXTURES))
+        objects.append(item(f"{texture_name} {number + 1}", texture_name, outline, float(1 / inverse[number])))
+    return Scene(f"drawn {seed}", tuple(objects))
+
+
 def scene_by_name(name: str, seed: int = 0) -> Scene:
-    """Scene from its name in a configuration: ``four-objects``, or a plane such as ``plane:chart:200cm``.
+    """Scene from its name in a configuration: ``four-objects``, ``drawn-objects``, or a plane (``plane:chart:200cm``).
 
     Raises
     ------
@@ -93,10 +120,12 @@ def scene_by_name(name: str, seed: int = 0) -> Scene:
     """
     if name == "four-objects":
         return four_objects(seed)
+    if name == "drawn-objects":
+        return drawn_objects(seed)
     match = re.fullmatch(r"plane:([a-z]+):([0-9]+(?:\.[0-9]+)?)cm", name)
     if not match:
         raise ConfigError(
-            f"simulation.scene: no scene {name!r}; write four-objects, or a plane such as plane:chart:200cm"
+            f"simulation.scene: no scene {name!r}; write four-objects, drawn-objects, or a plane: plane:chart:200cm"
         )
     if match[1] not in TEXTURES:
         raise ConfigError(

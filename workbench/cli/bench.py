@@ -19,6 +19,7 @@ from workbench.banks import open_bank
 from workbench.bench.accuracy import Run, View, run_cases
 from workbench.bench.bench_banks import SECOND_PUPILS, default_work, raws_bank, rig_settings, simulated_bank
 from workbench.bench.cases import BLANK, LIGHTS, SIZES, TEXTURES, depth_list, make_cases
+from workbench.bench.drawn_scenes import write_drawn_scenes
 from workbench.bench.method_speed import MemoryRow, MethodRow, method_rows, peak_memory
 from workbench.bench.scoring import Outcome
 from workbench.bench.speed import speed_table
@@ -30,8 +31,9 @@ from workbench.bench.tables import (
     speed_tables,
     tables_json,
 )
-from workbench.bench.truth import read_truth, run_truth
+from workbench.bench.truth import TrueFiles, read_truth, run_truth
 from workbench.cli.common import LENGTH, Context, command_options
+from workbench.config import RigConfig
 from workbench.depth.methods import DEFAULT_METHOD, METHODS, make_options, needs_second_view
 from workbench.figures.bench import error_and_bound, measured_against_true, rates_by_texture
 from workbench.figures.style import to_bytes
@@ -108,6 +110,8 @@ def accuracy_options(function: click.decorators.FC) -> click.decorators.FC:
             click.option("--full", is_flag=True, help="Every depth for every texture and light: tens of minutes."),
             click.option("--raws", type=path,
                          help="Measure this directory's RAW files instead; its truth.json knows their depths."),
+            click.option("--scenes", type=click.IntRange(1), default=None,
+                         help="Measure so many scenes of several objects, drawn at random, through their regions."),
             click.option("--methods", type=NamesParam("methods", tuple(METHODS)), default=None,
                          help=f"Methods to compare, with commas, or all; quick {','.join(QUICK.methods)}, else all."),
             click.option("--textures", type=NamesParam("textures", (*TEXTURES, BLANK)), default="all",
@@ -143,8 +147,8 @@ def accuracy_options(function: click.decorators.FC) -> click.decorators.FC:
 @accuracy_options
 @command_options
 def accuracy(
-    context: Context, full: bool, raws: Path | None, methods: tuple[str, ...] | None, bank_ref: str | None,
-    work: Path | None, settings: Settings, out: Path | None, **chosen: Any,
+    context: Context, full: bool, raws: Path | None, scenes: int | None, methods: tuple[str, ...] | None,
+    bank_ref: str | None, work: Path | None, settings: Settings, out: Path | None, **chosen: Any,
 ) -> None:  # fmt: skip
     """Measure scenes of known depth with every method.
 
@@ -153,7 +157,21 @@ def accuracy(
     work = work or default_work()
     methods = methods or (FULL if full or raws is not None else QUICK).methods
     if raws is not None:
-        _measure_raws(context, context.existing(raws, "directory"), methods, settings, bank_ref, work, out)
+        if scenes is not None:
+            raise click.UsageError("--raws and --scenes: give one of them")
+        files = read_truth(context.existing(raws, "directory"))
+        if bank_ref is None:
+            context.note(f"bank: from {raws / 'psf'}")
+        bank = raws_bank(work, raws / "psf") if bank_ref is None else open_bank(context.project(), bank_ref)[0]
+        _measure_files(context, files, bank, methods, settings, out, {"files": str(raws)})
+    elif scenes is not None:
+        seed = int(chosen["seed"])
+        bank, config = _bank_of_rig(context, bank_ref, work, chosen["step_mm"])
+        with tempfile.TemporaryDirectory(prefix="workbench-bench-") as scratch:
+            with context.progress("photographing scenes") as observer:
+                write_drawn_scenes(Path(scratch), scenes, seed, rig_settings(config), observer)
+            about = {"scenes": f"{scenes}, seeds {seed} to {seed + scenes - 1}"}
+            _measure_files(context, read_truth(Path(scratch)), bank, methods, settings, out, about)
     else:
         _measure_simulated(context, FULL if full else QUICK, methods, settings, bank_ref, work, out, **chosen)
 
@@ -164,12 +182,7 @@ def _measure_simulated(
     depths: int | None, every: int | None, seed: int, step_mm: float, jobs: int | None,
 ) -> None:  # fmt: skip
     started = time.monotonic()
-    if bank_ref is not None:
-        project = context.project()
-        bank, config = open_bank(project, bank_ref)[0], project.config()
-    else:
-        with context.progress("calibrating the simulated rig") as observer:
-            bank, config = simulated_bank(work, seed=1, step_mm=step_mm, observer=observer)
+    bank, config = _bank_of_rig(context, bank_ref, work, step_mm)
     rig = rig_settings(config)
     per_texture = depths or form.depths
     cases = make_cases(textures, depth_list(rig.stage_zero_mm, seed), per_texture, seed)
@@ -195,24 +208,27 @@ def _measure_simulated(
     _report(context, outcomes, bank.lens.focus_mm, facts, out)
 
 
-def _measure_raws(
-    context: Context, raws: Path, methods: tuple[str, ...], settings: Settings, bank_ref: str | None, work: Path,
-    out: Path | None,
+def _bank_of_rig(context: Context, bank_ref: str | None, work: Path, step_mm: float) -> tuple[Bank, RigConfig]:
+    """The project's bank, or one of the simulated rig, and the rig."""
+    if bank_ref is not None:
+        project = context.project()
+        return open_bank(project, bank_ref)[0], project.config()
+    with context.progress("calibrating the simulated rig") as observer:
+        return simulated_bank(work, seed=1, step_mm=step_mm, observer=observer)
+
+
+def _measure_files(
+    context: Context, files: TrueFiles, bank: Bank, methods: tuple[str, ...], settings: Settings, out: Path | None,
+    about: Mapping[str, str],
 ) -> None:  # fmt: skip
-    files = read_truth(raws)
     two = [name for name in methods if needs_second_view(name)]
     if two:
         context.note(f"left out, since they need two photographs: {', '.join(two)}")
         methods = tuple(name for name in methods if name not in two)
-    if bank_ref is not None:
-        bank = open_bank(context.project(), bank_ref)[0]
-    else:
-        context.note(f"bank: from {raws / 'psf'}")
-        bank = raws_bank(work, raws / "psf")
     with context.progress("bench accuracy") as observer:
         singles = run_truth(files, bank, methods, settings, observer)
     table = singles_table([(single.name, single.outcome) for single in singles])
-    facts = {"files": str(raws), **_bank_facts(bank)}
+    facts = {**about, **_bank_facts(bank)}
     _report(context, [single.outcome for single in singles], bank.lens.focus_mm, facts, out, [table])
 
 

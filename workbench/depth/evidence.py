@@ -47,6 +47,7 @@ FloatArray = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 _SOFT_MARGIN_PX = 24.0
+_SHAPELESS_PX = 1.5
 _REFINED_STEPS, _REFINED_FINER, _REFINED_FISHER_STEPS = 2, 4, 6
 _REFINED_WITHIN, _NARROW = 30.0, 5.0
 _ENOUGH = 0.7
@@ -193,7 +194,11 @@ def side_features(
             psfs.append(psfs[0][::-1, ::-1] if psfs else model.psfs.psf_at(model.depth_mm(-radius), size)[::-1, ::-1])
     good = [w for w in seen.windows if w.weight >= 0.6 * seen.windows[0].weight]
     chosen = good[:: max(1, len(good) // options.side_windows)][: options.side_windows]
-    return sparseness(plane, seen.soft, chosen, psfs, seen.fit.coefficients[row], float(seen.fit.log_noise[row]))
+    sparse = sparseness(plane, seen.soft, chosen, psfs, seen.fit.coefficients[row], float(seen.fit.log_noise[row]))
+    # next to focus the lens's own spot hides the aperture's shape, and with it the side
+    shown = -np.expm1(-((radius / _SHAPELESS_PX) ** 2))
+    middle = sparse.mean(axis=0)
+    return np.asarray(middle + shown * (sparse - middle))
 
 
 def measure_region(
