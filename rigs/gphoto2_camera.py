@@ -19,7 +19,7 @@ from typing import TypeVar
 from rigs.errors import ConfigError, ConnectionLostError, RigError
 from rigs.gphoto2_config import CameraEvent, Gphoto2Settings, OnEvent, Validate, accept_any, ignore_event
 from rigs.gphoto2_faults import RESPONSES, Fault, FaultError, Remedy, failure
-from rigs.gphoto2_inspect import facts_of
+from rigs.gphoto2_inspect import facts_of, library_of
 from rigs.gphoto2_link import CameraLink, FoundCamera
 from rigs.gphoto2_process import WORKER_COMMAND
 from rigs.gphoto2_setup import NAMES, CameraSetup
@@ -232,10 +232,24 @@ class Gphoto2Camera:
             self._on_event(event)
 
 
-def discover(
-    environment: Mapping[str, str] | None = None, *, worker: Sequence[str] = WORKER_COMMAND
-) -> tuple[FoundCamera, ...]:
-    """Every camera that can be seen, without opening one.
+@dataclass(frozen=True, slots=True)
+class Survey:
+    """What is there before a camera is opened.
+
+    Attributes
+    ----------
+    cameras
+        Every camera that can be seen.
+    library
+        Versions of libgphoto2 and of its Python binding.
+    """
+
+    cameras: tuple[FoundCamera, ...]
+    library: str
+
+
+def survey(environment: Mapping[str, str] | None = None, *, worker: Sequence[str] = WORKER_COMMAND) -> Survey:
+    """Every camera that can be seen, without opening one, and what looks for them.
 
     Parameters
     ----------
@@ -251,8 +265,15 @@ def discover(
     """
     link = CameraLink(Gphoto2Settings(environment=environment or {}), worker)
     try:
-        return link.list()
+        return Survey(link.list(), library_of(link))
     except FaultError as trouble:
         raise failure(trouble) from trouble
     finally:
         link.restart()
+
+
+def discover(
+    environment: Mapping[str, str] | None = None, *, worker: Sequence[str] = WORKER_COMMAND
+) -> tuple[FoundCamera, ...]:
+    """Every camera that can be seen (see :func:`survey`)."""
+    return survey(environment, worker=worker).cameras

@@ -9,6 +9,7 @@ from types import MappingProxyType
 from rigs.gphoto2_config import ABSENT
 from rigs.gphoto2_faults import FaultError
 from rigs.gphoto2_link import CameraLink, Widget
+from rigs.gphoto2_settings import offered_isos, offered_times_s
 from rigs.gphoto2_setup import NAMES
 
 FACTS: Mapping[str, tuple[str, ...]] = MappingProxyType(
@@ -41,8 +42,9 @@ def facts_of(link: CameraLink) -> dict[str, str]:
     -------
     dict
         One entry for each of :data:`FACTS` (``absent`` where the camera doesn't say), and ``port``, ``identified_as``
-        (the model as the library knows it), ``image_formats`` (those offered, separated by ``, ``), ``free_mb`` and
-        ``free_images`` (of the card, where there is one), ``library``. ``datetime`` is the camera's clock, ISO 8601.
+        (the model as the library knows it), ``image_formats`` and ``isos`` (those offered, separated by ``, ``),
+        ``exposure_times_s`` (the shortest and the longest offered), ``free_mb`` and ``free_images`` (of the card, where
+        there is one), ``library``. ``datetime`` is the camera's clock, ISO 8601.
 
     Raises
     ------
@@ -53,13 +55,25 @@ def facts_of(link: CameraLink) -> dict[str, str]:
     facts = {fact: _first(widgets, names) for fact, names in FACTS.items()}
     if facts["datetime"].isdigit():
         facts["datetime"] = datetime.fromtimestamp(int(facts["datetime"])).isoformat(sep=" ")
-    formats = next((widgets[name].choices for name in NAMES["image_format"] if name in widgets), ())
-    facts["image_formats"] = ", ".join(formats) or ABSENT
+    facts["image_formats"] = ", ".join(_offered(widgets, "image_format")) or ABSENT
+    facts["isos"] = ", ".join(map(str, offered_isos(_offered(widgets, "iso")))) or ABSENT
+    times = offered_times_s(_offered(widgets, "exposure_time"))
+    facts["exposure_times_s"] = f"{times[0]:g} to {times[-1]:g}" if times else ABSENT
     assert link.found is not None  # it is open
     facts["port"], facts["identified_as"] = link.found.port, link.found.model
-    hello = link.call("hello")
-    facts["library"] = f"libgphoto2 {hello['library']}, python-gphoto2 {hello['binding']}"
+    facts["library"] = library_of(link)
     return facts | _free_space(link)
+
+
+def library_of(link: CameraLink) -> str:
+    """Versions of libgphoto2 and of its Python binding."""
+    hello = link.call("hello")
+    return f"libgphoto2 {hello['library']}, python-gphoto2 {hello['binding']}"
+
+
+def _offered(widgets: Mapping[str, Widget], ours: str) -> tuple[str, ...]:
+    """Choices of a setting under the first of its names that has some."""
+    return next((widgets[name].choices for name in NAMES[ours] if name in widgets and widgets[name].choices), ())
 
 
 def _first(widgets: Mapping[str, Widget], names: tuple[str, ...]) -> str:

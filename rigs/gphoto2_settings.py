@@ -28,6 +28,7 @@ _ISO = re.compile(r"(?:iso\s*)?(\d+)", re.IGNORECASE)
 _MANUAL_DIAL = re.compile(r"m|manual(?: exposure)?", re.IGNORECASE)
 _SHUTTER_DIAL = re.compile(r"tv|s|shutter.*|custom.*|[cu]\d?|lock", re.IGNORECASE)
 
+_LOW_BATTERY_PERCENT = 15
 _MOST_LISTED = 12
 _SAME_RELATIVE = 0.02
 
@@ -195,6 +196,22 @@ def dial_allows(dial: str) -> bool:
     if _MANUAL_DIAL.fullmatch(dial) or _SHUTTER_DIAL.fullmatch(dial):
         return True
     return dial.isdigit() or dial.casefold().startswith("unknown") or dial in ("", "absent")
+
+
+def is_manual_focus(focus: str) -> bool:
+    """Whether a focus mode leaves focusing to the hand."""
+    return focus.casefold().startswith(("manual", "mf", "m "))
+
+
+def has_no_contacts(aperture: str) -> bool:
+    """Whether an aperture's text is what cameras say of a lens that doesn't talk to them."""
+    return aperture.casefold().startswith(("implicit auto", "unknown value"))
+
+
+def is_battery_low(level: str) -> bool:
+    """Whether a battery level (``12%``, ``Low``) won't last."""
+    number = level.rstrip("%").strip()
+    return same_text(number, "low") or (number.isdigit() and int(number) <= _LOW_BATTERY_PERCENT)
 
 
 def release_without_autofocus(offered: Sequence[str]) -> tuple[str, str] | None:

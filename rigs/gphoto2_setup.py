@@ -15,7 +15,10 @@ from rigs.gphoto2_settings import (
     choose_target,
     choose_time,
     dial_allows,
+    has_no_contacts,
+    is_battery_low,
     is_card,
+    is_manual_focus,
     is_raw_format,
     is_raw_with_jpeg,
     listed,
@@ -51,8 +54,6 @@ NAMES: Mapping[str, tuple[str, ...]] = MappingProxyType(
 """Our name of a setting and the names that libgphoto2's drivers have for it, best first."""
 
 _READ_PER_FRAME = ("image_format", "capture_target", "aperture", "focus", "battery")
-_LOW_BATTERY_PERCENT = 15
-_NO_CONTACTS = ("implicit auto", "unknown value")
 
 Same = Callable[[str, str], bool]
 
@@ -181,8 +182,7 @@ class CameraSetup:
         return self.choices("exposure_time")
 
     def _warn_of_battery(self) -> None:
-        level = self.value("battery").rstrip("%").strip()
-        if same_text(level, "low") or (level.isdigit() and int(level) <= _LOW_BATTERY_PERCENT):
+        if is_battery_low(self.value("battery")):
             self._tell(CameraEvent(f"camera: battery at {self.value('battery')}; charge it or use a mains adapter"))
 
     def _reread(self, ours: str) -> str:
@@ -244,12 +244,12 @@ class CameraSetup:
 
     def _set_focus(self) -> None:
         widget = self._widgets.get("focus")
-        if widget is None or _is_manual(widget.value):
+        if widget is None or is_manual_focus(widget.value):
             return
-        manual = next((text for text in widget.choices if _is_manual(text)), None)
+        manual = next((text for text in widget.choices if is_manual_focus(text)), None)
         if manual is not None and not widget.readonly:
             self._widgets["focus"] = self._link.set(self._names["focus"], manual)
-        if not _is_manual(self.value("focus")):
+        if not is_manual_focus(self.value("focus")):
             self._tell(CameraEvent(f"camera: focus stands on {self.value('focus')}; put the lens switch to MF"))
 
     def _set_aperture(self) -> None:
@@ -278,9 +278,5 @@ def _useful(ours: str, widget: Widget) -> bool:
     return bool(widget.value)
 
 
-def _is_manual(focus: str) -> bool:
-    return focus.casefold().startswith(("manual", "mf", "m "))
-
-
 def _without_contacts(widget: Widget) -> bool:
-    return widget.value.casefold().startswith(_NO_CONTACTS) or not any(map(parse_f_number, widget.choices))
+    return has_no_contacts(widget.value) or not any(map(parse_f_number, widget.choices))

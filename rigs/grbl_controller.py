@@ -66,6 +66,8 @@ class GrblController:
         self._offset: tuple[float, ...] | None = None
         self.banner = ""
         self.latest: Status | None = None
+        self.was_deaf = False
+        """Whether it took a reset to wake it."""
         self.stop_requested: Callable[[], bool] = lambda: False
         """Asked before every line that is sent and while waiting."""
 
@@ -97,6 +99,7 @@ class GrblController:
             if now >= reset + _RESET_AGAIN_S:
                 self._link.write(RESET)
                 reset = now
+                self.was_deaf = True
             reply = self._next(_SLICE_S)
             if isinstance(reply, Status):
                 self._quiet()

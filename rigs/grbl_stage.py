@@ -46,7 +46,7 @@ _STALE_IDLE_S = 1.5
 
 _POLL_S = 0.02
 
-_NOT_READY = {
+NOT_READY = {
     "Alarm": (AlarmError, "is in alarm", "home the stage"),
     "Hold": (StageError, "is paused (feed-hold button)", "press its resume button, or stop and home"),
     "Door": (StageError, "sees its safety door open", "close the door and press resume"),
@@ -57,6 +57,7 @@ _NOT_READY = {
     "Home": (DeviceBusyError, "is homing on somebody else's command", "wait, then home"),
     "Tool": (StageError, "waits for a tool change", "home the stage"),
 }
+"""States in which a move isn't started: the error, what the controller does, and the way out."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -436,7 +437,7 @@ class GrblStage:
         """Report of a controller that is idle where we left it."""
         status = self._controller.steady(doing)
         if status.state != "Idle":
-            kind, what, way_out = _NOT_READY[status.state]
+            kind, what, way_out = NOT_READY[status.state]
             raise kind(f"stage: the controller {what} instead of {doing}; {way_out}")
         position_mm = self._mm(status)
         if self._expected_mm is not None and not self.near(position_mm, self._expected_mm):

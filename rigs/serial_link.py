@@ -17,6 +17,7 @@ import time
 from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import dataclass
 
 import serial
 from serial.tools import list_ports
@@ -64,12 +65,33 @@ def find_port(port: str) -> str:
     return str(found[0].device)
 
 
+@dataclass(frozen=True, slots=True)
+class FoundPort:
+    """A serial port that is plugged in, not opened."""
+
+    device: str
+    usb_id: str = ""
+    """As rig.yaml takes it (``usb:1a86:7523``); empty where it is on no USB."""
+    description: str = ""
+
+    def __str__(self) -> str:
+        return f"{self.device} ({self.usb_id})" if self.usb_id else self.device
+
+
+def discover_ports() -> tuple[FoundPort, ...]:
+    """Every serial port that the operating system lists, without opening one."""
+    return tuple(
+        FoundPort(
+            str(info.device),
+            f"usb:{info.vid:04x}:{info.pid:04x}" if info.vid is not None else "",
+            info.description if info.description not in (None, "n/a") else "",
+        )
+        for info in sorted(list_ports.comports(), key=lambda info: str(info.device))
+    )
+
+
 def _ports_found() -> str:
-    names = [
-        f"{info.device} (usb:{info.vid:04x}:{info.pid:04x})" if info.vid is not None else info.device
-        for info in list_ports.comports()
-    ]
-    return f"serial ports found: {', '.join(names) or 'none'}"
+    return f"serial ports found: {', '.join(map(str, discover_ports())) or 'none'}"
 
 
 def _open(port: str, baud_rate: int) -> serial.Serial:

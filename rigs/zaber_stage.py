@@ -31,6 +31,7 @@ from rigs.errors import (
 from rigs.motion import braking_time_s, move_time_s
 from rigs.protocols import DeviceIdentity
 from rigs.serial_link import SerialLink
+from rigs.stage_facts import StageFacts
 from rigs.zaber_protocol import (
     FAULTS,
     NO_REFERENCE,
@@ -159,6 +160,29 @@ class ZaberStage:
                 "limits": f"{low:g} to {high:g} mm",
                 "max speed": f"{self._speed_mm_s:g} mm/s",
             },
+        )
+
+    def facts(self) -> StageFacts:
+        """What a check of the rig wants to know; asks, changes nothing."""
+        busy, flags = self._ask("").busy, self._flags()
+        faults = sorted(flags & FAULTS.keys() - {"NC"})
+        lost = sorted(flags & POSITION_LOST.keys())
+        remarks = [
+            ("last alarm", f"the device {POSITION_LOST[flag][0]} ({flag})", POSITION_LOST[flag][1]) for flag in lost
+        ]
+        problem = (f"the device says: {FAULTS[faults[0]][0]} ({faults[0]})", FAULTS[faults[0]][1]) if faults else None
+        if busy:
+            problem = ("the device is moving on somebody else's command", "close that program")
+        return StageFacts(
+            identity=self.identify(),
+            state="BUSY" if busy else " ".join(["IDLE", *sorted(flags)]),
+            referenced=not flags & (NO_REFERENCE | POSITION_LOST.keys()),
+            problem=problem,
+            remarks=tuple(("last alarm", f"the device {what} ({flag})", way_out) for flag, what, way_out in lost),
+            homing=True,  # every device homes, and keeps to limit.min and limit.max by itself
+            soft_limits=True,
+            travel_mm=self._limits_mm,
+            max_speed_mm_s=self._speed_mm_s,
         )
 
     def limits_mm(self) -> tuple[float, float]:

@@ -25,6 +25,8 @@ from workbench.units import cm
 
 Tell = Callable[[str], None]
 
+MANUAL_LIMITS_MM = (0.0, 3000.0)
+"""Where a panel that is moved by hand may stand, unless rig.yaml says otherwise."""
 _PAGE_PATIENCE_S = 300.0
 """How long the operator has to open the panel's page."""
 
@@ -138,7 +140,7 @@ def open_stage(opening: _Opening) -> Stage:
 
 def _manual_stage(config: StageConfig) -> ManualStage:
     axis = DepthAxis(config.depth.offset_mm, config.depth.sign, config.depth.scale)
-    limits = config.limits_mm or (0.0, 3000.0)
+    limits = config.limits_mm or MANUAL_LIMITS_MM
     settings = ManualSettings(limits, lambda position: cm(axis.depth_mm(position)))
     return ManualStage(settings, _ask_operator)
 
