@@ -166,10 +166,7 @@ class ZaberStage:
         """What a check of the rig wants to know; asks, changes nothing."""
         busy, flags = self._ask("").busy, self._flags()
         faults = sorted(flags & FAULTS.keys() - {"NC"})
-        lost = sorted(flags & POSITION_LOST.keys())
-        remarks = [
-            ("last alarm", f"the device {POSITION_LOST[flag][0]} ({flag})", POSITION_LOST[flag][1]) for flag in lost
-        ]
+        lost = [(flag, *POSITION_LOST[flag]) for flag in sorted(flags & POSITION_LOST.keys())]
         problem = (f"the device says: {FAULTS[faults[0]][0]} ({faults[0]})", FAULTS[faults[0]][1]) if faults else None
         if busy:
             problem = ("the device is moving on somebody else's command", "close that program")
