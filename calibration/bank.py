@@ -53,7 +53,8 @@ class Bank:
         Everything else: provenance, quality, camera, see docs/reference.
     extras
         Further arrays by name, stored and hashed with the rest: ``chief_yx`` (F, D, 2), the chief ray's position
-        relative to the centre pixel; ``field_radius_px`` (F, D), signed radii per set; ``aperture`` (N, N), the
+        relative to the centre pixel; ``middle_yx`` (F, D, 2), the centre pixel's place in the frame;
+        ``field_radius_px`` (F, D), signed radii per set; ``aperture`` (N, N), the
         aperture's picture, +-1.25 radii wide, oriented as the PSF beyond focus; models fitted later.
     """
 

@@ -380,6 +380,7 @@ def _assemble(
         manifest=manifest,
         extras={
             "chief_yx": np.array([[p.offset_yx for p in row] for row in planes]),
+            "middle_yx": np.array(centres, np.float64),
             "field_radius_px": np.array([f.lens.radius_px for f in fields]),
             "aperture": fields[central].fit.template.astype(np.float32),
         },

@@ -30,6 +30,7 @@ Colour = tuple[float, float, float]
 _SLICE_PX, _SLICE_MM = 0.4, 10.0
 """A slanted object is cut where the radius of the point image has changed by so much, or depth if that is farther."""
 _SLANTED_TEXTURE_PX = 2048
+_REACH_STEP = 128
 
 
 @dataclass(frozen=True)
@@ -209,6 +210,8 @@ def _region(
     reach = max(reach_px(lens, depth, pitch_mm) for depth in depths)
     if plane.slope:
         reach = math.ceil(1.2 * reach) + 2  # past the frame's border it may be nearer still
+    # textures are drawn for this rectangle: through another aperture the same object must look the same
+    reach = _REACH_STEP * math.ceil(reach / _REACH_STEP)
     top, bottom, left, right = (
         max(top, -reach),
         min(bottom, height + reach),

@@ -8,7 +8,9 @@ least ``W = sum_i |irfft(F0 K_i - F_i)|**2``, summed over the region's inner pix
 
 The paper takes the depth per pixel; a region is one window here. Both photographs are brought to the same brightness by
 their means over the region, since apertures pass different amounts of light. Differing zeros of both apertures are what
-the method lives from; two apertures of one shape and different size will do less well, as the paper shows.
+the method lives from; two apertures of one shape and different size will do less well, as the paper shows. Both banks'
+PSFs are taken about the same point of the frame, where the first bank sees the chief ray: camera and rail must not have
+moved between the calibrations.
 """
 
 from __future__ import annotations
@@ -89,12 +91,14 @@ def estimate_pair(
     options = options or PairOptions()
     second, second_bank = second_view(image, bank, options, "pair")
     planes = image.luminance, second.luminance
-    kernels = bank.central, second_bank.central[common_depths(bank, second_bank)]
+    nearest = common_depths(bank, second_bank)
+    kernels = bank.central, second_bank.central[nearest]
+    chiefs = _common_points(bank, second_bank, nearest)
     screened = screen(image, bank, labels, options)
     noise = options.noise or float(np.hypot(screened.noise, noise_level(planes[1])) / np.sqrt(2.0))
     estimates = dict(screened.refused)
     for region in screened.regions:
-        cost = _cost(planes, kernels, region, max(noise, 1e-6), options)
+        cost = _cost(planes, kernels, chiefs, region, max(noise, 1e-6), options)
         estimates[region.label] = estimate_from_cost(bank, region, cost, options.ambiguity, options.max_saturated, {})
     return dict(sorted(estimates.items()))
 
@@ -102,6 +106,7 @@ def estimate_pair(
 def _cost(
     planes: tuple[FloatImage, FloatImage],
     kernels: tuple[NDArray[np.float32], NDArray[np.float32]],
+    chiefs: tuple[FloatArray, FloatArray],
     region: Region,
     noise: float,
     options: PairOptions,
@@ -123,7 +128,7 @@ def _cost(
     ratio = (noise**2 / power) * frequency**2
     cost = np.zeros(len(kernels[0]))
     for depth in range(cost.size):
-        transfers = [_transfer(kernel[depth], size) for kernel in kernels]
+        transfers = [_transfer(k[depth], size, chief[depth]) for k, chief in zip(kernels, chiefs, strict=True)]
         restored = sum(np.conj(k) * f for k, f in zip(transfers, seen, strict=True))
         restored = restored / np.maximum(sum(np.abs(k) ** 2 for k in transfers) + ratio, 1e-12)
         for transfer, picture in zip(transfers, pictures, strict=True):
@@ -133,11 +138,27 @@ def _cost(
     return cost
 
 
-def _transfer(psf: NDArray[np.float32], size: tuple[int, int]) -> Spectrum:
+def _common_points(bank: Bank, second: Bank, nearest: NDArray[np.intp]) -> tuple[FloatArray, FloatArray]:
+    """The point about which both banks' PSFs are taken, from the middle pixel of each (px), float64 (D, 2) each."""
+    first, other = _central_points(bank, "chief_yx"), _central_points(second, "chief_yx")[nearest]
+    if "middle_yx" in bank.extras and "middle_yx" in second.extras:
+        other = first + _central_points(bank, "middle_yx") - _central_points(second, "middle_yx")[nearest]
+    return first, other
+
+
+def _central_points(bank: Bank, name: str) -> FloatArray:
+    points = bank.extras.get(name)
+    return np.zeros((len(bank.depths_mm), 2)) if points is None else np.asarray(points[bank.central_index], np.float64)
+
+
+def _transfer(psf: NDArray[np.float32], size: tuple[int, int], chief_yx: FloatArray) -> Spectrum:
+    """Transfer function about the chief ray: that is what both photographs have in common, to a fraction of a pixel."""
     half = psf.shape[0] // 2
     padded = np.zeros(size, np.float32)
     padded[: psf.shape[0], : psf.shape[1]] = psf / psf.sum(dtype=np.float64)
-    return np.asarray(fft.rfft2(np.roll(padded, (-half, -half), axis=(0, 1))))
+    turn = fft.fftfreq(size[0])[:, np.newaxis] * chief_yx[0] + fft.rfftfreq(size[1])[np.newaxis] * chief_yx[1]
+    about = fft.rfft2(np.roll(padded, (-half, -half), axis=(0, 1)))
+    return np.asarray(about * np.exp(2j * np.pi * turn).astype(np.complex64))
 
 
 def _periodic(picture: FloatImage, size: tuple[int, int]) -> FloatImage:
