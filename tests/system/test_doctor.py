@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import socket
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from typing import Any
 
 import pytest
-from command_line import Outcome, call, done, listing
+from command_line import Outcome, call, done, listing, refused
 
 from tests.standins.grbl_firmware import GrblFirmware
+from tests.standins.panel_page import PanelPage
 from tests.standins.pty_server import PtyServer
 from tests.standins.rail import Rail
+from tests.standins.zaber_device import ZaberChain
+from workbench.project import Project
 
 GRBL = "  kind: grbl\n  port: {port}\n  depth: {{offset: 3505 mm}}\n"
 
@@ -120,3 +124,148 @@ def test_rail_deaf_in_an_alarm_is_told(on_grbl: OnGrbl) -> None:
         assert unmoved(line)
     assert "deaf until it was reset" in findings["stage.last-alarm"]["seen"]
     assert "look why" in findings["stage.last-alarm"]["mend"]
+
+
+def test_power_up_alarm_without_homing_cannot_be_left(on_grbl: OnGrbl) -> None:
+    with on_grbl(_22=0, _20=0) as (line, rig):
+        outcome = call("-C", rig, "doctor", "--json")
+        assert unmoved(line)
+    assert outcome.code == 3
+    findings = found(outcome)
+    assert "$22=1" in findings["stage.homing"]["mend"]
+    assert "$20=1" in findings["stage.soft-limits"]["mend"]
+    assert "stage.limits" in findings["stage.travel"]["mend"]
+    assert "stage homing, stage soft limits, stage travel" in outcome.err.splitlines()[-1]
+
+
+def test_missing_protection_that_rig_yaml_allows_is_a_warning(on_grbl: OnGrbl) -> None:
+    allowed = "  limits: [-3000 mm, 0 mm]\n  allow_without_homing: true\n  allow_without_soft_limits: true\n"
+    with on_grbl(allowed, _22=0, _20=0) as (_, rig):
+        findings = found(done("-C", rig, "doctor", "--json"))
+    assert findings["stage.homing"]["severity"] == findings["stage.soft-limits"]["severity"] == "warning"
+    assert findings["stage.travel"]["severity"] == "ok"
+
+
+def test_travel_too_short_for_the_plan(on_grbl: OnGrbl) -> None:
+    with on_grbl(_130=2000.0) as (_, rig):
+        outcome = call("-C", rig, "doctor", "--json")
+    assert outcome.code == 3
+    travel = found(outcome)["stage.travel"]
+    assert travel["severity"] == "error"
+    assert travel["seen"] == "reaches 151 cm to 350 cm; the plan needs 60 cm to 350 cm"
+    assert "calibration.from" in travel["mend"]
+
+
+def test_missing_port_is_a_finding_and_the_rest_is_still_checked(rig: Path) -> None:
+    rewrite(rig, "stage", GRBL.format(port="/dev/no-such-port"))
+    outcome = call("-C", rig, "doctor", "--json")
+    assert outcome.code == 3
+    findings = found(outcome)
+    assert "/dev/no-such-port can't be opened" in findings["stage.connection"]["seen"]
+    assert "check plug" in findings["stage.connection"]["mend"]
+    assert findings["panel.server"]["severity"] == "ok"
+    assert "Traceback" not in outcome.err
+
+
+def test_zaber_is_asked_without_moving(rig: Path) -> None:
+    chain = ZaberChain()
+    with PtyServer(chain) as line:
+        rewrite(rig, "stage", f"  kind: zaber\n  port: {line.path}\n  microstep: 0.5 um\n  depth: {{offset: 50 cm}}")
+        findings = found(done("-C", rig, "doctor", "--json"))
+        assert not any(word in line.sent for word in (b"home", b"move", b"set"))
+    assert findings["stage.connection"]["seen"].startswith("Zaber device id 50081, firmware 7.38, serial 100235")
+    assert "position unknown" in findings["stage.state"]["seen"]
+    assert findings["stage.travel"]["severity"] == "ok"
+
+
+def test_manual_stage_needs_somebody_to_ask(rig: Path) -> None:
+    rewrite(rig, "stage", "  kind: manual\n  depth: {offset: 50 cm}")
+    findings = found(done("-C", rig, "doctor", "--json"))
+    assert findings["stage.connection"]["seen"] == "moved by hand, 30 times"
+    assert findings["stage.operator"]["severity"] == "note"
+
+
+def free_port() -> int:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        return int(taken.getsockname()[1])
+
+
+@pytest.fixture
+def panel_port(rig: Path) -> int:
+    """The project shows its patterns in a browser."""
+    port = free_port()
+    rewrite(rig, "panel", f"  kind: browser\n  port: {port}\n  ack_timeout: 1 s")
+    return port
+
+
+def test_page_paints_a_dot_and_is_left_black(rig: Path, panel_port: int) -> None:
+    with PanelPage(panel_port) as page:
+        outcome = done("-C", rig, "doctor", "--json")
+    findings = found(outcome)
+    assert outcome.only["plugged_in"]["browsers"] == ["Firefox at 127.0.0.1"]
+    assert findings["panel.full-screen"]["seen"] == "1280 x 800 px, 12.8 x 8.0 cm by panel.pixel_pitch"
+    assert findings["panel.pixel-ratio"]["seen"] == "2"
+    assert [pattern["kind"] for pattern in page.shown] == ["dot", "black"]
+    with socket.create_server(("127.0.0.1", panel_port)):
+        pass  # the port is free again
+
+
+def test_no_page_is_told_with_the_way_to_open_one(rig: Path, panel_port: int) -> None:
+    outcome = call("-C", rig, "doctor", "--json", "--panel-wait", "0.1s")
+    assert outcome.code == 3
+    assert found(outcome)["panel.page"]["seen"] == "none connected within 0.1 s"
+    assert f"http://127.0.0.1:{panel_port}/panel" in outcome.err
+
+
+def test_page_in_a_window_and_page_that_does_not_paint(rig: Path, panel_port: int) -> None:
+    with PanelPage(panel_port, fullscreen=False):
+        page = found(call("-C", rig, "doctor", "--json", "--panel-wait", "2s"))["panel.page"]
+    assert page["severity"] == "error"
+    assert page["seen"] == "the page isn't full screen"
+    assert page["mend"].startswith("tap it once")
+    with PanelPage(panel_port, paints=False):
+        painting = found(call("-C", rig, "doctor", "--json"))["panel.painting"]
+    assert painting["severity"] == "error"
+    assert "nothing painted within 1 s" in painting["seen"]
+
+
+def test_token_is_shown_to_the_operator_only(rig: Path) -> None:
+    port = free_port()
+    rewrite(rig, "panel", f"  kind: browser\n  host: 0.0.0.0\n  port: {port}\n  token: not-for-machines")
+    with PanelPage(port, token="not-for-machines"):
+        outcome = done("-C", rig, "doctor", "--json")
+    assert "not-for-machines" in outcome.err
+    assert "not-for-machines" not in outcome.out
+
+
+def test_taken_panel_port_is_a_finding(rig: Path, panel_port: int) -> None:
+    with socket.create_server(("127.0.0.1", panel_port)):
+        outcome = call("-C", rig, "doctor", "--json")
+    assert outcome.code == 3
+    assert "taken by another program" in found(outcome)["panel.server"]["seen"]
+
+
+def test_rig_in_use_is_not_touched(on_grbl: OnGrbl) -> None:
+    with on_grbl() as (line, rig):
+        with Project(rig).lock_rig():
+            outcome = call("-C", rig, "doctor", "--json")
+        assert not line.sent
+    assert outcome.code == 3
+    assert "in use by another workbench" in found(outcome)["project.rig"]["seen"]
+
+
+def test_unreadable_rig_yaml_and_wrong_time_are_bad_input(rig: Path) -> None:
+    refused(call("-C", rig, "doctor", "--panel-wait", "soon"), "soon", "time")
+    refused(call("-C", rig, "doctor", "--panel-wait", "-1s"), "below 0")
+    (rig / "rig.yaml").write_text("camra: {}\n")
+    refused(call("-C", rig, "doctor"), "camra", "camera")
+
+
+def test_cameras_that_rig_yaml_does_not_name_are_listed(rig: Path, tmp_path: Path, monkeypatch: Any) -> None:
+    folder = tmp_path / "virtual" / "DCIM" / "100NIKON"
+    folder.mkdir(parents=True)
+    (folder / "a.jpg").write_bytes(b"frame")
+    monkeypatch.setenv("VCAMERADIR", str(tmp_path / "virtual"))
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "xdg"))
+    outcome = done("-C", rig, "doctor", "--json")
+    assert outcome.only["plugged_in"]["cameras"] == ["Nikon DSC D750 at usb:001,001"]

@@ -24,7 +24,7 @@ from rigs.gphoto2_settings import (
 )
 from workbench.doctor.findings import Finding, Subject
 from workbench.doctor.processes import camera_programs, desktop_mounts
-from workbench.units import bytes_text, seconds_text
+from workbench.units import bytes_text, exposure_text, seconds_text
 
 CAMERA = Subject("camera")
 
@@ -166,7 +166,7 @@ def _exposure_time(facts: Mapping[str, str]) -> Finding:
     offered = facts["exposure_times_s"]
     if offered == ABSENT:
         return CAMERA.error("exposure times", "none can be set", "turn the mode dial to M")
-    return CAMERA.ok("exposure times", f"{offered} s")
+    return CAMERA.ok("exposure times", " to ".join(exposure_text(float(time)) for time in offered.split(" to ")))
 
 
 def _iso(facts: Mapping[str, str], settings: Gphoto2Settings, demand: Demand) -> Finding:

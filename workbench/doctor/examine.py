@@ -81,7 +81,7 @@ def examine(
         except InputError:
             found.append(
                 PROJECT.error(
-                    "rig", "another workbench process is using it: its devices were not opened", "wait for it"
+                    "rig", "in use by another workbench process: its devices were not opened", "wait for it"
                 )
             )
         else:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from enum import IntEnum
@@ -91,7 +92,14 @@ class Subject:
 
 
 def split_message(message: str) -> tuple[str, str]:
-    """Split ``what: the way out`` or ``what; the way out``; separators in brackets and quotes don't count."""
+    """Split ``what: the way out`` or ``what; the way out``; separators in brackets and quotes don't count.
+
+    A bracket at the very end holds a detail of what was seen; advice to go on with a session isn't for here.
+    """
+    message = message.removesuffix(", then `workbench resume`")
+    if match := _DETAIL.fullmatch(message):
+        seen, mend = split_message(match[1])
+        return (f"{seen} ({match[2]})", mend) if mend else (message, "")
     depth, quoted = 0, False
     for index, letter in enumerate(message):
         if letter in "'`" and (quoted or not message[index - 1 : index].isalnum()):
@@ -100,6 +108,9 @@ def split_message(message: str) -> tuple[str, str]:
         if letter in ":;" and depth == 0 and not quoted and message[index + 1 : index + 2] == " ":
             return message[:index], message[index + 2 :]
     return message, ""
+
+
+_DETAIL = re.compile(r"(.*) \(([^()]*)\)")
 
 
 @dataclass(frozen=True, slots=True)

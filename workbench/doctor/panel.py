@@ -14,6 +14,8 @@ from workbench.doctor.findings import Finding, Subject
 PANEL = Subject("panel")
 
 _SLOW_S = 1.0
+_BROWSERS = (("Firefox", "Firefox"), ("Edg", "Edge"), ("OPR", "Opera"), ("Chrome", "Chrome"), ("Safari", "Safari"))
+"""Marks in a user agent, the most telling first: most call themselves Chrome and Safari, too."""
 
 
 def panel_findings(
@@ -39,7 +41,8 @@ def panel_findings(
     """
     if config.kind == "simulated":
         return [PANEL.ok("server", "simulated panel")], ()
-    found = [_reach(config)]
+    reach = ": this computer's browsers only" if is_loopback(config.host) else ""
+    found = [PANEL.ok("server", f"listens on {config.host}, port {config.port}{reach}")]
     if not config.token and not is_loopback(config.host):
         found.append(
             PANEL.note(
@@ -58,13 +61,6 @@ def panel_findings(
         panel.close()
 
 
-def _reach(config: PanelConfig) -> Finding:
-    where = f"listens on {config.host}, port {config.port}"
-    if is_loopback(config.host):
-        return PANEL.note("server", f"{where}: this computer's browsers only", "for a tablet set panel.host: 0.0.0.0")
-    return PANEL.ok("server", where)
-
-
 def _look(
     panel: BrowserPanel, found: list[Finding], config: PanelConfig, dot_px: float, *, wait_s: float, tell: Tell
 ) -> tuple[list[Finding], tuple[str, ...]]:
@@ -73,22 +69,22 @@ def _look(
         panel.wait_ready(wait_s)
     except RigError:
         status = panel.status()
-        if not status.connected:
-            seen = f"no page connected within {wait_s:g} s"
-            mend = "open the address printed above on the tablet; --panel-wait 2min gives time for it"
-            return [*found, PANEL.error("page", seen, mend)], ()
-        seen, _, mend = status.problem.partition(": ")
-        return [*found, PANEL.error("page", seen, mend)], (_browser(panel),)
+        if status.connected:
+            seen, _, mend = status.problem.partition(": ")
+            return [*found, PANEL.error("page", seen, mend)], (_browser(panel),)
+        mend = "open the address printed above on the tablet; --panel-wait 2min gives time for it"
+        if is_loopback(config.host):
+            mend += "; a tablet needs panel.host: 0.0.0.0"
+        return [*found, PANEL.error("page", f"none connected within {wait_s:g} s", mend)], ()
     browser = _browser(panel)
+    found = [*found, PANEL.ok("page", browser)]
     try:
         painted = panel.show(Pattern("dot", size_px=dot_px, colour=config.dot.colour))
+        page = panel.status().page
         panel.show(Pattern("black"))
     except RigError as error:
-        return [*found, PANEL.ok("page", browser), PANEL.failure("painting", error)], (browser,)
-    page = panel.status().page
-    found.append(PANEL.ok("page", browser))
-    found += painted_findings(painted, page, pitch_mm=config.pixel_pitch_mm)
-    return found, (browser,)
+        return [*found, PANEL.failure("painting", error)], (browser,)
+    return [*found, *painted_findings(painted, page, pitch_mm=config.pixel_pitch_mm)], (browser,)
 
 
 def _browser(panel: BrowserPanel) -> str:
@@ -100,9 +96,8 @@ def _browser(panel: BrowserPanel) -> str:
 
 def painted_findings(painted: PanelAck, page: PageState | None, *, pitch_mm: float) -> list[Finding]:
     """Judge what the page said when it had painted the dot."""
+    width_cm, height_cm = (0.1 * pitch_mm * pixels for pixels in (painted.width_px, painted.height_px))
     size = f"{painted.width_px} x {painted.height_px} px"
-    long_mm, short_mm = (pitch_mm * max(painted.width_px, painted.height_px),
-                         pitch_mm * min(painted.width_px, painted.height_px))  # fmt: skip
     found = []
     if painted.painted_after_s > _SLOW_S:
         seen = f"a dot took {painted.painted_after_s:.1f} s to be confirmed"
@@ -110,7 +105,7 @@ def painted_findings(painted: PanelAck, page: PageState | None, *, pitch_mm: flo
     else:
         found.append(PANEL.ok("painting", f"a dot was confirmed after {1000 * painted.painted_after_s:.0f} ms"))
     if painted.fullscreen:
-        found.append(PANEL.ok("full screen", size))
+        found.append(PANEL.ok("full screen", f"{size}, {width_cm:.1f} x {height_cm:.1f} cm by panel.pixel_pitch"))
     else:
         found.append(
             PANEL.warning("full screen", f"no: {size} of a window; its frame lights the room", "tap the page once")
@@ -126,13 +121,6 @@ def painted_findings(painted: PanelAck, page: PageState | None, *, pitch_mm: flo
                 "there choose the screen's native resolution and 100 %",
             )
         )
-    found.append(
-        PANEL.note(
-            "size",
-            f"{long_mm / 10:.1f} x {short_mm / 10:.1f} cm, by panel.pixel_pitch {pitch_mm:g} mm",
-            "hold a ruler to the screen; correct panel.pixel_pitch if it differs",
-        )
-    )
     if page is not None and page.wake_lock == "none":
         found.append(
             PANEL.warning("wake lock", "nothing keeps the screen on", "set the tablet's screen timeout to never")
