@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import re
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -32,6 +33,16 @@ def _speed(value: object) -> float:
         return speed_mm_s(value)
     except InputError as error:
         raise ValueError(str(error)) from None
+
+
+def _serial_number(value: object) -> object:
+    if isinstance(value, int | float):  # 0123 would be read as an octal number
+        raise ValueError(f"{value} is read as a number: write the serial number in quotes")
+    return value
+
+
+def _f_number(value: object) -> object:
+    return re.sub(r"^\s*[fF]\s*/?\s*", "", value) if isinstance(value, str) else value
 
 
 Length = Annotated[float, BeforeValidator(_length)]
@@ -72,13 +83,40 @@ class OpticsConfig(Section):
 
 
 class CameraConfig(Section):
-    """The camera and how its RAW files are developed."""
+    """The camera and how its RAW files are developed; all after ``iso`` is for a real one."""
 
-    kind: Literal["simulated"] = "simulated"
+    kind: Literal["simulated", "gphoto2"] = "simulated"
     pixel_pitch_mm: Length | None = Field(None, alias="pixel_pitch", gt=0)
     """Photosite pitch; needed where the RAW files don't state it."""
     recipe: Literal["superpixel", "native"] = "superpixel"
     iso: int = Field(100, ge=25, le=409600)
+    model: str = ""
+    """Part of the model's name (``650D``); with ``serial`` and ``port`` it chooses among several cameras."""
+    serial: Annotated[str, BeforeValidator(_serial_number)] = ""
+    port: str = Field("", pattern=r"^(usb:\S*)?$")
+    """``usb:001,005``, or ``usb:`` for any; the number changes when the cable is plugged in again."""
+    image_format: str = ""
+    """RAW format by the camera's own name for it; empty: the plain full-size RAW that it offers."""
+    capture_target: Literal["auto", "card", "memory"] = "auto"
+    keep_on_card: bool = True
+    aperture: Annotated[float, Field(gt=0), BeforeValidator(_f_number)] | None = None
+    """f-number, for lenses with contacts; without it the aperture is left alone."""
+    release: Literal["auto", "trigger", "without-autofocus", "capture"] = "auto"
+    may_be_absent: tuple[Literal["iso", "image_format", "capture_target"], ...] = (
+        "iso", "image_format", "capture_target",
+    )  # fmt: skip
+    """Settings that the camera may lack; they are then the operator's to make on the camera."""
+    restart_every: int = Field(0, ge=0)
+    """Start a fresh camera process after so many frames, for cameras that tire; 0: never."""
+    call_timeout_s: Duration = Field(30.0, alias="call_timeout", gt=0)
+    """Patience with one call to the camera; then it is broken off and the camera opened again."""
+    arrive_timeout_s: Duration = Field(30.0, alias="arrive_timeout", gt=0)
+    """How long after the exposure the RAW file may take to appear."""
+    download_timeout_s: Duration = Field(90.0, alias="download_timeout", gt=0)
+    return_timeout_s: Duration = Field(30.0, alias="return_timeout", gt=0)
+    """How long a camera that left USB may take to come back."""
+    power_cycle_timeout_s: Duration = Field(120.0, alias="power_cycle_timeout", gt=0)
+    """How long the operator has to switch a frozen camera off and on."""
 
 
 class DepthConfig(Section):

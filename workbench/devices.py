@@ -5,10 +5,12 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from rigs.browser_panel import BrowserPanel, BrowserPanelSettings
 from rigs.errors import RigError
+from rigs.gphoto2_camera import Gphoto2Camera
+from rigs.gphoto2_config import Gphoto2Settings
 from rigs.grbl_stage import GrblSettings, GrblStage
 from rigs.manual_stage import ManualSettings, ManualStage
 from rigs.protocols import Camera, Panel, Stage
@@ -20,7 +22,9 @@ from rigs.simulated.scene import SceneTruth, scene_truth
 from rigs.simulated.scenes import scene_by_name
 from rigs.simulated.world import SimulatedRigSettings, SimulatedWorld
 from rigs.zaber_stage import ZaberSettings, ZaberStage
-from workbench.config import PanelConfig, RigConfig, StageConfig
+from workbench.config import CameraConfig, PanelConfig, RigConfig, StageConfig
+from workbench.device_news import DeviceNews
+from workbench.frame_reader import FrameReader
 from workbench.units import cm
 
 Tell = Callable[[str], None]
@@ -56,12 +60,25 @@ def simulated_world(config: RigConfig) -> SimulatedWorld:
 
 
 @dataclass
-class _Opening:
-    """Devices opened so far, so that a failure half way closes them."""
+class Opening:
+    """Devices of one rig on their way to being opened, one by one.
+
+    Attributes
+    ----------
+    config
+        The rig.
+    tell
+        Shows the operator a line (the panel's address, a request to move a manual stage).
+    frames
+        Checks what a real camera delivers; None: a reader of its own.
+    news
+        Hears what a real camera reports; None: only the operator does.
+    """
 
     config: RigConfig
     tell: Tell
-    opened: list[Camera | Stage | Panel] = field(default_factory=list)
+    frames: FrameReader | None = None
+    news: DeviceNews | None = None
     _world: SimulatedWorld | None = None
 
     @property
@@ -71,46 +88,63 @@ class _Opening:
             self._world = simulated_world(self.config)
         return self._world
 
+    @property
+    def camera_is_simulated(self) -> bool:
+        """Whether the camera has to be told what real devices do, since it can't see them."""
+        return self.config.camera.kind == "simulated"
 
-def open_scene_camera(config: RigConfig, *, tell: Tell) -> tuple[Camera, SceneTruth]:
-    """Open the camera alone, looking at the scene, with the scene's truth.
+
+def open_scene_camera(config: RigConfig, *, tell: Tell, frames: FrameReader | None = None) -> Camera:
+    """Open the camera alone; a simulated one looks at the scene that rig.yaml names.
 
     Raises
     ------
     RigError
         The camera is missing, busy or wrong; or there is no scene of the configured name.
     """
-    opening = _Opening(config, tell)
-    world = opening.world
+    opening = Opening(config, tell, frames)
+    if opening.camera_is_simulated:
+        opening.world.subject = scene_by_name(config.simulation.scene, config.simulation.seed)
+    return open_camera(opening)
+
+
+def simulated_scene_truth(config: RigConfig) -> SceneTruth:
+    """What a measurement of the simulated camera's scene should find.
+
+    Raises
+    ------
+    RigError
+        There is no scene of the configured name.
+    """
     scene = scene_by_name(config.simulation.scene, config.simulation.seed)
-    world.subject = scene
-    return open_camera(opening), scene_truth(scene, world.sensor.shape)
+    return scene_truth(scene, simulated_world(config).sensor.shape)
 
 
-def open_rig(config: RigConfig, *, tell: Tell) -> Rig:
+def open_rig(
+    config: RigConfig, *, tell: Tell, frames: FrameReader | None = None, news: DeviceNews | None = None
+) -> Rig:
     """Open the devices that rig.yaml names.
 
     Parameters
     ----------
-    config
-        The rig.
-    tell
-        Shows the operator a line (the panel's address, a request to move a manual stage).
+    config, tell, frames, news
+        See :class:`Opening`.
 
     Raises
     ------
     RigError
         A device is missing, busy or wrong; whatever was opened before is closed again.
     """
-    opening = _Opening(config, tell)
+    opening = Opening(config, tell, frames, news)
+    opened: list[Camera | Stage] = []
     try:
         camera = open_camera(opening)
-        opening.opened.append(camera)
+        opened.append(camera)
         stage = open_stage(opening)
-        opening.opened.append(stage)
+        opened.append(stage)
         panel = open_panel(opening)
     except BaseException:
-        for device in reversed(opening.opened):
+        for device in reversed(opened):
             with suppress(RigError):
                 device.close()
         raise
@@ -118,13 +152,39 @@ def open_rig(config: RigConfig, *, tell: Tell) -> Rig:
     return Rig(camera, stage, panel, DepthAxis(depth.offset_mm, depth.sign, depth.scale))
 
 
-def open_camera(opening: _Opening) -> Camera:
-    """The camera of rig.yaml."""
+def open_camera(opening: Opening) -> Camera:
+    """The camera of rig.yaml; what a real one delivers is looked at before it gets its name."""
+    config = opening.config.camera
+    if config.kind == "gphoto2":
+        frames = opening.frames or FrameReader(config.pixel_pitch_mm)
+        news = opening.news or DeviceNews(opening.tell)
+        return Gphoto2Camera(gphoto2_settings(config), validate=frames.check, on_event=news)
     return SimulatedCamera(opening.world)
 
 
-def open_stage(opening: _Opening) -> Stage:
-    """The stage of rig.yaml; the simulated camera sees where a real one has moved the panel."""
+def gphoto2_settings(config: CameraConfig) -> Gphoto2Settings:
+    """What rig.yaml says of a camera on USB."""
+    return Gphoto2Settings(
+        model=config.model,
+        serial=config.serial,
+        port=config.port,
+        image_format=config.image_format,
+        capture_target=config.capture_target,
+        keep_on_card=config.keep_on_card,
+        aperture=config.aperture,
+        release=config.release,
+        may_be_absent=config.may_be_absent,
+        restart_every=config.restart_every,
+        call_timeout_s=config.call_timeout_s,
+        arrive_timeout_s=config.arrive_timeout_s,
+        download_timeout_s=config.download_timeout_s,
+        return_timeout_s=config.return_timeout_s,
+        power_cycle_timeout_s=config.power_cycle_timeout_s,
+    )
+
+
+def open_stage(opening: Opening) -> Stage:
+    """The stage of rig.yaml; a simulated camera sees where a real one has moved the panel."""
     config = opening.config.stage
     match config.kind:
         case "simulated":
@@ -135,7 +195,7 @@ def open_stage(opening: _Opening) -> Stage:
             stage = GrblStage(grbl_settings(config))
         case "zaber":
             stage = ZaberStage(zaber_settings(config))
-    return FollowedStage(stage, opening.world)
+    return FollowedStage(stage, opening.world) if opening.camera_is_simulated else stage
 
 
 def _manual_stage(config: StageConfig) -> ManualStage:
@@ -190,16 +250,16 @@ def browser_panel_settings(config: PanelConfig) -> BrowserPanelSettings:
     )
 
 
-def open_panel(opening: _Opening) -> Panel:
+def open_panel(opening: Opening) -> Panel:
     """The panel of rig.yaml; one in a browser is waited for until a page is connected and ready."""
     config = opening.config.panel
-    if config.kind == "browser":
-        panel = BrowserPanel(browser_panel_settings(config))
-        opening.tell(panel.invitation())
-        try:
-            panel.wait_ready(_PAGE_PATIENCE_S)
-        except BaseException:
-            panel.close()
-            raise
-        return FollowedPanel(panel, opening.world)
-    return SimulatedPanel(opening.world)
+    if config.kind == "simulated":
+        return SimulatedPanel(opening.world)
+    panel = BrowserPanel(browser_panel_settings(config))
+    opening.tell(panel.invitation())
+    try:
+        panel.wait_ready(_PAGE_PATIENCE_S)
+    except BaseException:
+        panel.close()
+        raise
+    return FollowedPanel(panel, opening.world) if opening.camera_is_simulated else panel

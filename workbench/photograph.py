@@ -6,9 +6,9 @@ import re
 from pathlib import Path
 
 from calibration.image import LinearImage
-from calibration.raw import develop
 from rigs.protocols import Camera, CaptureResult, Exposure
 from workbench.metering import meter
+from workbench.session import FrameCheck
 
 METER_SHOTS = 8
 
@@ -23,8 +23,19 @@ def next_photograph(directory: Path) -> Path:
     return directory / f"photograph-{max(taken, default=0) + 1:04d}.dng"
 
 
-def photograph(camera: Camera, destination: Path, *, base_iso: int) -> CaptureResult:
+def photograph(camera: Camera, destination: Path, *, base_iso: int, read: FrameCheck) -> CaptureResult:
     """Meter the scene, expose once, keep that frame only.
+
+    Parameters
+    ----------
+    camera
+        Looks at the scene.
+    destination
+        Path of the photograph.
+    base_iso
+        ISO preferred.
+    read
+        Develops a metering frame.
 
     Raises
     ------
@@ -37,7 +48,7 @@ def photograph(camera: Camera, destination: Path, *, base_iso: int) -> CaptureRe
     def expose(exposure: Exposure, path: Path) -> LinearImage:
         result = camera.capture(exposure, path)
         meters.append(result.path)
-        return develop(result.path)
+        return read(result.path)
 
     try:
         stem = destination.with_name(f".{destination.stem}-meter")

@@ -5,13 +5,17 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from calibration.exif import KNOWN_CAMERAS
 from workbench.config import RigConfig
 from workbench.plan import PatternSpec, Plan, depth_grid_mm
 
-FRAME_BYTES_PER_PHOTOSITE = {"small": 2.0, "eos650d": 1.2}
-"""A losslessly compressed 14-bit RAW file takes about 1.2; the small simulated camera doesn't compress."""
+BYTES_PER_PHOTOSITE = 1.2
+"""Of a losslessly compressed 14-bit RAW file."""
+BYTES_PER_PHOTOSITE_UNCOMPRESSED = 2.0
+PHOTOSITES_OF_UNKNOWN = 24e6
+"""Of a camera that isn't known before it is asked."""
 METER_SHOTS_PER_DEPTH = 2.5
-SECONDS_PER_SHOT = {"simulated": 0.25}
+SECONDS_PER_SHOT = {"simulated": 0.25, "gphoto2": 3.0}
 """Readout, download and check of one frame, without its exposure; only for the estimate."""
 SECONDS_PER_MOVE = {"simulated": 0.0, "manual": 30.0, "grbl": 3.0, "zaber": 3.0}
 
@@ -73,7 +77,18 @@ def cost(plan: Plan, config: RigConfig) -> PlanCost:
     """Shots, time and bytes of a plan (an estimate: exposures are metered on the rig)."""
     shots = sum(1 for _ in plan.shots())
     frames = shots + METER_SHOTS_PER_DEPTH * len(plan.depths_mm)
-    photosites = 5184 * 3456 if config.simulation.preset == "eos650d" else 1536 * 1024
+    photosites, bytes_each = _frame(config)
     seconds = frames * SECONDS_PER_SHOT[config.camera.kind] * max(photosites / 18e6, 0.3)
     seconds += len(plan.depths_mm) * SECONDS_PER_MOVE[config.stage.kind]
-    return PlanCost(shots, seconds, frames * photosites * FRAME_BYTES_PER_PHOTOSITE[config.simulation.preset])
+    return PlanCost(shots, seconds, frames * photosites * bytes_each)
+
+
+def _frame(config: RigConfig) -> tuple[float, float]:
+    """Photosites of one frame, and bytes for each of them, as far as rig.yaml says."""
+    if config.camera.kind == "simulated":
+        if config.simulation.preset == "small":
+            return 1536 * 1024, BYTES_PER_PHOTOSITE_UNCOMPRESSED
+        return 5184 * 3456, BYTES_PER_PHOTOSITE
+    wanted = config.camera.model.casefold()
+    sizes = [math.prod(facts.full_frame) for name, facts in KNOWN_CAMERAS.items() if wanted and wanted in name]
+    return max(sizes, default=PHOTOSITES_OF_UNKNOWN), BYTES_PER_PHOTOSITE

@@ -18,7 +18,7 @@ import signal
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import asdict
 from itertools import groupby
 from pathlib import Path
@@ -29,6 +29,7 @@ from calibration.image import LinearImage
 from rigs.errors import CaptureError, NotAcknowledgedError, RigError
 from rigs.protocols import CaptureResult, Exposure
 from rigs.rig import Rig
+from workbench.device_news import DeviceNews
 from workbench.errors import InputError
 from workbench.files import made_directory, sha256_file, write_json
 from workbench.journal import Journal, SessionState, verified_shots
@@ -101,9 +102,18 @@ class StopRequest:
 class SessionRunner:
     """Runs one plan on one rig, from wherever the journal stands."""
 
-    def __init__(self, directory: Path, plan: Plan, rig: Rig, *, observer: Observer, check: FrameCheck) -> None:
+    def __init__(
+        self,
+        directory: Path,
+        plan: Plan,
+        rig: Rig,
+        *,
+        observer: Observer,
+        check: FrameCheck,
+        news: DeviceNews | None = None,
+    ) -> None:
         self._directory, self._plan, self._rig = directory, plan, rig
-        self._observer, self._check = observer, check
+        self._observer, self._check, self._news = observer, check, news
         self._shots = list(plan.shots())
         self._done: dict[str, dict[str, Any]] = {}
         self._stop = StopRequest()
@@ -126,7 +136,7 @@ class SessionRunner:
         try:
             self._open(journal)
             try:
-                with self._stop.heard():
+                with self._stop.heard(), self._news.journaled(journal) if self._news else nullcontext():
                     self._take_all(journal)
             except BaseException as error:
                 with suppress(RigError):

@@ -201,7 +201,7 @@ def test_depths_that_cannot_be_start_no_session(root: Path, wishes: tuple[str, .
         ("repeats: 2", "repeats: two", ("calibration.repeats", "'two'")),
         ("from: 60 cm", "from: 60 kg", ("calibration.from", "'kg'")),
         ("from: 60 cm", "from: 60", ("calibration.from", "no unit")),
-        ("kind: simulated\n  pixel_pitch", "kind: film\n  pixel_pitch", ("camera.kind", "'film'")),
+        ("camera:\n  kind: simulated", "camera:\n  kind: film", ("camera.kind", "'film'")),
         ("seed: 1", "seed: [1", ("YAML",)),
         ("optics:", "optic:", ("'optic'", "'optics'")),
         ("scene: four-objects", "scene: five-objects", ("scene", "five-objects")),

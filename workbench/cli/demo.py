@@ -12,7 +12,9 @@ from workbench.cli.common import Context, command_options
 from workbench.cli.measure import measure_photograph
 from workbench.cli.rig import run_session
 from workbench.demo import compare, write_truth
-from workbench.devices import open_scene_camera
+from workbench.devices import open_scene_camera, simulated_scene_truth
+from workbench.errors import InputError
+from workbench.frame_reader import FrameReader
 from workbench.measure import MeasureOptions
 from workbench.photograph import next_photograph, photograph
 from workbench.planning import make_plan
@@ -31,6 +33,8 @@ def demo(context: Context, target: Path, preset: str, seed: int) -> None:
     root = context.directory / target
     project = open_project(root) if (root / "rig.yaml").exists() else create_project(root, preset=preset, seed=seed)
     config = project.config()
+    if config.camera.kind != "simulated":
+        raise InputError(f"{root}: its rig.yaml names a real camera; the demo is simulated: name another directory")
     run_session(context, project, make_plan(config))
     context.say()
     _measure_scene(context, project)
@@ -39,11 +43,13 @@ def demo(context: Context, target: Path, preset: str, seed: int) -> None:
 def _measure_scene(context: Context, project: Project) -> None:
     config = project.config()
     bank, _ = open_bank(project, "active")
-    camera, truth = open_scene_camera(config, tell=context.note)
+    frames = FrameReader(config.camera.pixel_pitch_mm)
+    camera = open_scene_camera(config, tell=context.note, frames=frames)
     destination = next_photograph(project.photographs)
-    taken = photograph(camera, destination, base_iso=config.camera.iso)
+    taken = photograph(camera, destination, base_iso=config.camera.iso, read=frames.read)
     camera.close()
     measurement = measure_photograph(context, project, bank, "active", MeasureOptions(), taken.path, None)
+    truth = simulated_scene_truth(config)
     write_truth(truth, project.photographs, destination.stem)
     results = compare(measurement, truth)
     rows = []

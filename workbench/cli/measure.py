@@ -91,14 +91,17 @@ def measure(context: Context, raws: tuple[Path, ...], out: Path | None, **chosen
 def capture(context: Context, out: Path | None, **chosen: Any) -> None:
     """Photograph the scene with the rig, then measure it."""
     from workbench.devices import open_scene_camera
+    from workbench.frame_reader import FrameReader
     from workbench.photograph import next_photograph, photograph
 
     project, bank, bank_ref, options = _prepare(context, **chosen)
     config = project.config()
     with project.lock_rig():
-        camera, _ = open_scene_camera(config, tell=context.note)
+        frames = FrameReader(config.camera.pixel_pitch_mm)
+        camera = open_scene_camera(config, tell=context.note, frames=frames)
         try:
-            taken = photograph(camera, next_photograph(project.photographs), base_iso=config.camera.iso)
+            destination = next_photograph(project.photographs)
+            taken = photograph(camera, destination, base_iso=config.camera.iso, read=frames.read)
         finally:
             camera.close()
     context.note(f"{taken.path}: {exposure_text(taken.exposure.time_s)}, ISO {taken.exposure.iso}")

@@ -15,7 +15,6 @@ from workbench.project import Project, create_project
 from workbench.units import bytes_text, cm, seconds_text
 
 if TYPE_CHECKING:
-    from calibration.image import LinearImage
     from workbench.calibrate import CalibrationResult
     from workbench.plan import Plan
 
@@ -119,18 +118,16 @@ def run_session(context: Context, project: Project, what: Plan | str) -> None:
 
     A new session leaves no trace unless the rig can be opened and reaches every depth.
     """
-    from calibration.raw import develop
     from workbench.calibrate import calibrate_session
+    from workbench.device_news import DeviceNews
     from workbench.devices import open_rig
+    from workbench.frame_reader import FrameReader
     from workbench.session import SessionRunner, create_session, load_plan
 
     made = load_plan(project.sessions / what) if isinstance(what, str) else what
     config = project.config()
-
-    def check(path: Path) -> LinearImage:
-        return develop(path, pixel_pitch_mm=config.camera.pixel_pitch_mm)
-
-    with project.lock_rig(), open_rig(config, tell=context.note) as rig:
+    frames, news = FrameReader(config.camera.pixel_pitch_mm), DeviceNews(context.note)
+    with project.lock_rig(), open_rig(config, tell=context.note, frames=frames, news=news) as rig:
         try:
             rig.check_reach(made.depths_mm)
         except LimitError as error:
@@ -140,7 +137,8 @@ def run_session(context: Context, project: Project, what: Plan | str) -> None:
         if not isinstance(what, str):
             create_session(directory, made)
         with context.progress(f"session {session}") as observer:
-            state = SessionRunner(directory, made, rig, observer=observer, check=check).run()
+            runner = SessionRunner(directory, made, rig, observer=observer, check=frames.read, news=news)
+            state = runner.run()
     context.note("making the bank")
     result = calibrate_session(project, directory, made, state, config)
     _show_bank(context, project, result, session)

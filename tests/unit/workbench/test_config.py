@@ -2,7 +2,9 @@ from pathlib import Path
 
 import pytest
 
+from rigs.gphoto2_config import Gphoto2Settings
 from workbench.config import load_rig_config
+from workbench.devices import gphoto2_settings
 from workbench.errors import InputError
 from workbench.project import create_project, open_project
 
@@ -30,6 +32,16 @@ def test_the_template_is_valid_and_means_what_it_says(tmp_path: Path) -> None:
         ("calibration: {from: 60 s}", ("calibration.from", "'s'", "unit")),
         ("calibration: {repeats: many}", ("calibration.repeats", "integer", "'many'")),
         ("camera: {kind: film}", ("camera.kind", "'film'")),
+        ("camera: {kind: gphoto2, serial: 053071001234}", ("camera.serial", "in quotes")),
+        ("camera: {kind: gphoto2, port: /dev/ttyUSB0}", ("camera.port", "usb:", "'/dev/ttyUSB0'")),
+        ("camera: {kind: gphoto2, capture_target: sd}", ("camera.capture_target", "'card'", "'sd'")),
+        ("camera: {kind: gphoto2, aperture: wide}", ("camera.aperture", "number", "'wide'")),
+        ("camera: {kind: gphoto2, aperture: 0}", ("camera.aperture", "greater than 0")),
+        ("camera: {kind: gphoto2, release: bulb}", ("camera.release", "'without-autofocus'", "'bulb'")),
+        ("camera: {kind: gphoto2, may_be_absent: [shutter]}", ("camera.may_be_absent", "'iso'", "'shutter'")),
+        ("camera: {kind: gphoto2, arrive_timeout: 20 mm}", ("camera.arrive_timeout", "'mm'", "time")),
+        ("camera: {kind: gphoto2, restart_every: -1}", ("camera.restart_every", "greater than or equal to 0")),
+        ("camera: {modell: 650D}", ("camera", "'modell'", "'model'")),
         ("stage: {depth: {sign: 2}}", ("stage.depth.sign",)),
         ("stage: {kind: grbl}", ("stage", "port is missing", "/dev/ttyUSB0", "usb:VID:PID")),
         ("stage: {kind: grbl, port: /dev/x, axis: 2}", ("stage", "axis 2", "X, Y, Z")),
@@ -59,6 +71,28 @@ def test_stages_on_a_serial_line_are_read_with_their_units(tmp_path: Path) -> No
     assert (grbl.speed_mm_s, grbl.axis, grbl.baud_rate) == (50, None, 115200)
     assert not grbl.allow_without_homing
     assert not grbl.allow_without_soft_limits
+
+
+def test_a_camera_on_usb_is_read_in_the_operators_words(tmp_path: Path) -> None:
+    text = """
+camera:
+  kind: gphoto2
+  model: 650D
+  serial: "053071001234"
+  port: usb:001,005
+  aperture: f/2.8
+  may_be_absent: [image_format]
+  arrive_timeout: 1 min
+"""
+    settings = gphoto2_settings(load_rig_config(_write(tmp_path, text)).camera)
+    assert (settings.model, settings.serial, settings.port) == ("650D", "053071001234", "usb:001,005")
+    assert settings.aperture == 2.8
+    assert settings.may_be_absent == ("image_format",)
+    assert settings.arrive_timeout_s == 60
+
+
+def test_what_is_left_out_of_a_camera_is_the_drivers_own_default(tmp_path: Path) -> None:
+    assert gphoto2_settings(load_rig_config(_write(tmp_path, "camera: {kind: gphoto2}")).camera) == Gphoto2Settings()
 
 
 def test_a_directory_without_rig_yaml_is_no_project(tmp_path: Path) -> None:
