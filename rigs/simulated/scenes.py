@@ -71,7 +71,7 @@ def four_objects(seed: int = 0) -> Scene:
     below = 1.12
     bottom_mm = _table_depth(below)
     table = SceneObject(
-        "table", "gravel", rectangle(-0.2, _TABLE_TOP, 1.2, below), (_WALL_MM, _WALL_MM, bottom_mm), seed + 2, 4.0,
+        "table", "gravel", rectangle(-0.2, _TABLE_TOP, 1.2, below), (_WALL_MM, _WALL_MM, bottom_mm), seed + 2, 1.5,
         (0.16, 0.13, 0.10), (0.62, 0.55, 0.44),
     )  # fmt: skip
     return Scene(
