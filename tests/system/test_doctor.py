@@ -76,7 +76,7 @@ def test_simulated_rig_is_ready_and_says_what_is_missing(rig: Path) -> None:
 
 def test_json_is_one_object_in_a_fixed_form(rig: Path) -> None:
     answer = done("-C", rig, "doctor", "--json").only
-    assert list(answer) == ["ready", "worst", "counts", "devices", "plugged_in", "findings"]
+    assert list(answer) == ["ready", "worst", "counts", "devices", "plugged_in", "versions", "findings"]
     assert answer["ready"] is True
     assert answer["worst"] == "note"
     assert answer["devices"] == {"camera": "simulated", "stage": "simulated", "panel": "simulated"}
@@ -261,11 +261,49 @@ def test_unreadable_rig_yaml_and_wrong_time_are_bad_input(rig: Path) -> None:
     refused(call("-C", rig, "doctor"), "camra", "camera")
 
 
-def test_cameras_that_rig_yaml_does_not_name_are_listed(rig: Path, tmp_path: Path, monkeypatch: Any) -> None:
+@pytest.fixture
+def virtual_camera(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The virtual camera of the real library is plugged in."""
     folder = tmp_path / "virtual" / "DCIM" / "100NIKON"
     folder.mkdir(parents=True)
     (folder / "a.jpg").write_bytes(b"frame")
     monkeypatch.setenv("VCAMERADIR", str(tmp_path / "virtual"))
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "xdg"))
+
+
+def test_camera_that_rig_yaml_does_not_name_is_listed(rig: Path, virtual_camera: None) -> None:
     outcome = done("-C", rig, "doctor", "--json")
     assert outcome.only["plugged_in"]["cameras"] == ["Nikon DSC D750 at usb:001,001"]
+    assert "Nikon DSC D750" in found(outcome)["camera.connection"]["seen"]
+
+
+CAMERA = "  kind: gphoto2\n  model: {model}\n  keep_on_card: false\n"
+
+
+def test_camera_is_opened_and_read(rig: Path, virtual_camera: None, tmp_path: Path) -> None:
+    rewrite(rig, "camera", CAMERA.format(model="D750"))
+    before = listing(rig, tmp_path / "virtual")
+    findings = found(done("-C", rig, "doctor", "--json"))
+    assert findings["camera.connection"]["seen"].startswith("Nikon DSC D750, serial 0.1, firmware 2.5.11")
+    assert findings["camera.battery"]["seen"] == "50%"
+    assert findings["camera.pixel-pitch"]["seen"] == "5.97 um by its data sheet"
+    assert findings["project.devices"]["severity"] == "warning"  # it sees nothing of a simulated panel
+    assert listing(rig, tmp_path / "virtual") == before
+
+
+def test_missing_or_other_camera_is_a_finding_and_the_rest_is_still_checked(
+    rig: Path, virtual_camera: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rewrite(rig, "camera", CAMERA.format(model="No such"))
+    outcome = call("-C", rig, "doctor", "--json")
+    assert outcome.code == 3
+    camera = found(outcome)["camera.connection"]
+    assert "found Nikon DSC D750 at usb:001,001" in camera["mend"]
+    assert "camera.model" in camera["mend"]
+    monkeypatch.delenv("VCAMERADIR")
+    outcome = call("-C", rig, "doctor", "--json")
+    assert outcome.code == 3
+    findings = found(outcome)
+    assert findings["camera.connection"]["severity"] == "error"
+    assert findings["stage.travel"]["severity"] == findings["panel.server"]["severity"] == "ok"
+    assert outcome.err.splitlines()[-1] == "workbench: not ready to calibrate: camera connection"

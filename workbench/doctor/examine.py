@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
+import math
 import time
 from contextlib import ExitStack
 
 from rigs.serial_link import discover_ports
 from workbench.config import RigConfig
 from workbench.devices import Tell
-from workbench.doctor.camera import CAMERA, cameras_in_sight
+from workbench.doctor.camera import camera_findings, cameras_in_sight
+from workbench.doctor.camera_facts import Demand
 from workbench.doctor.findings import Checkup, Finding, PluggedIn, in_order
 from workbench.doctor.host import computer_findings, newest_file_s, versions
 from workbench.doctor.panel import panel_findings
 from workbench.doctor.project import PROJECT, plan_finding, project_findings
 from workbench.doctor.stage import stage_findings
 from workbench.errors import InputError
-from workbench.planning import cost, dot_size_px, make_plan
+from workbench.planning import METER_SHOTS_PER_DEPTH, cost, dot_size_px, make_plan
 from workbench.progress import Observer, Step
 from workbench.project import Project
 
@@ -53,7 +55,7 @@ def examine(
     step(0)
     found: list[Finding] = []
     depths_mm: tuple[float, ...] = ()
-    need_bytes, dot_px = 0.0, 1.0
+    demand, dot_px = Demand(1, 0.0, config.camera.iso), 1.0
     try:
         plan = make_plan(config)
     except InputError as error:
@@ -61,31 +63,32 @@ def examine(
     else:
         estimate = cost(plan, config)
         found.append(plan_finding(plan, estimate))
-        depths_mm, need_bytes = plan.depths_mm, estimate.bytes
-        dot_px = dot_size_px(config, depths_mm[0])
+        depths_mm, dot_px = plan.depths_mm, dot_size_px(config, plan.depths_mm[0])
+        frames = estimate.shots + math.ceil(METER_SHOTS_PER_DEPTH * len(depths_mm))
+        demand = Demand(frames, estimate.bytes, plan.iso)
     found += project_findings(project, config)
+    installed = versions()
     found += computer_findings(
         project.root,
-        need_bytes,
-        found_versions=versions(),
+        demand.bytes,
+        installed=installed,
         now_s=time.time(),
-        built_s=newest_file_s(project.root),
+        newest_file_s=newest_file_s(project.root),
     )
+    step(1)
+    in_sight, cameras = cameras_in_sight(needed=config.camera.kind != "simulated")
+    found += in_sight
     browsers: tuple[str, ...] = ()
     with ExitStack() as held:
-        step(1)
-        in_sight, cameras = cameras_in_sight({}, needed=config.camera.kind != "simulated")
-        found += in_sight
         try:
             held.enter_context(project.lock_rig())
         except InputError:
-            found.append(
-                PROJECT.error(
-                    "rig", "in use by another workbench process: its devices were not opened", "wait for it"
-                )
-            )
+            seen = "in use by another workbench process: its devices were not opened"
+            found.append(PROJECT.error("rig", seen, "wait for it, or end it"))
+        except OSError as error:  # a directory that can't be written to: said by the check of the disk
+            found.append(PROJECT.warning("rig", f"can't be locked ({error.strerror})", "see computer: disk"))
         else:
-            found.append(CAMERA.ok("connection", "simulated camera"))
+            found += camera_findings(config.camera, demand, cameras)
             step(2)
             found += stage_findings(config, depths_mm, operator_present=operator_present)
             step(3)
@@ -93,4 +96,4 @@ def examine(
             found += on_panel
     devices = {"camera": config.camera.kind, "stage": config.stage.kind, "panel": config.panel.kind}
     ports = tuple(map(str, discover_ports()))
-    return Checkup(devices, in_order(found), PluggedIn(cameras, ports, browsers))
+    return Checkup(devices, in_order(found), PluggedIn(cameras, ports, browsers), installed)

@@ -130,6 +130,8 @@ class Checkup:
     """Kind of camera, stage and panel as rig.yaml names them."""
     findings: tuple[Finding, ...]
     plugged_in: PluggedIn
+    versions: Mapping[str, str]
+    """Of the workbench, Python and the libraries that matter."""
 
     @property
     def worst(self) -> Severity:
@@ -161,6 +163,7 @@ class Checkup:
                 "serial_ports": list(self.plugged_in.serial_ports),
                 "browsers": list(self.plugged_in.browsers),
             },
+            "versions": dict(self.versions),
             "findings": [finding.as_json() for finding in self.findings],
         }
 

@@ -28,6 +28,7 @@ LIBRARIES = (
     "uvicorn",
 )
 """Whose versions matter when something goes wrong."""
+_SHOWN = ("workbench", "python", "numpy", "rawpy", "gphoto2")
 _OPTIONAL = frozenset({"gphoto2"})
 """Reported as missing by the check of the camera that needs it."""
 _SPARE = 1.5
@@ -46,7 +47,7 @@ def versions() -> dict[str, str]:
 
 
 def computer_findings(
-    root: Path, need_bytes: float, *, found_versions: Mapping[str, str], now_s: float, built_s: float
+    root: Path, need_bytes: float, *, installed: Mapping[str, str], now_s: float, newest_file_s: float
 ) -> list[Finding]:
     """Check versions, clock and disk.
 
@@ -56,14 +57,14 @@ def computer_findings(
         Directory of the project.
     need_bytes
         What the planned frames take.
-    found_versions
+    installed
         See :func:`versions`.
     now_s
         The computer's clock (seconds since 1970).
-    built_s
-        A moment that must lie in the past: see :func:`newest_file_s`.
+    newest_file_s
+        A moment that must lie in the past (see the function of this name).
     """
-    return [_versions(found_versions), _clock(now_s, built_s), _disk(root, need_bytes)]
+    return [_versions(installed), _clock(now_s, newest_file_s), _disk(root, need_bytes)]
 
 
 def newest_file_s(root: Path) -> float:
@@ -80,16 +81,16 @@ def _versions(found: Mapping[str, str]) -> Finding:
         return COMPUTER.error(
             "versions", f"missing: {', '.join(missing)}", f"install the workbench anew, or `pip install {missing[0]}`"
         )
-    return COMPUTER.ok("versions", ", ".join(f"{name} {number}" for name, number in found.items() if number))
+    return COMPUTER.ok("versions", ", ".join(f"{name} {found[name]}" for name in _SHOWN if found.get(name)))
 
 
-def _clock(now_s: float, built_s: float) -> Finding:
+def _clock(now_s: float, newest_s: float) -> Finding:
     now = datetime.fromtimestamp(now_s, UTC)
     shown = now.astimezone().strftime("%Y-%m-%d %H:%M %Z")
-    if now_s < built_s - _CLOCK_SLACK_S:
+    if now_s < newest_s - _CLOCK_SLACK_S:
         return COMPUTER.warning(
             "clock",
-            f"{shown}: {seconds_text(built_s - now_s)} before the newest file of program or project",
+            f"{shown}: {seconds_text(newest_s - now_s)} before the newest file of program or project",
             "set the clock (`timedatectl set-ntp true`): dates in journals and banks would be wrong",
         )
     return COMPUTER.ok("clock", shown)
