@@ -26,6 +26,7 @@ from workbench.depth.evidence_side import sparseness
 from workbench.depth.evidence_spectrum import (
     SpectralFit,
     TextureFactor,
+    basis,
     fit_spectra,
     frequencies,
     mixed_power,
@@ -53,7 +54,7 @@ _REFINED_WITHIN, _NARROW = 30.0, 5.0
 _ENOUGH = 0.7
 """Full windows' worth of region below which smaller windows are tried."""
 _LOW_CYCLES = 6.0
-_LEAST_LOW_SHARE = 0.25
+_LEAST_LOW_SHARE, _MOST_LINE_SHARE = 0.25, 0.9
 
 
 def estimate_evidence(
@@ -100,6 +101,8 @@ class Observation:
     """Pixels' worth of information: sum of the squared tapers' weights."""
     low_share: float
     """Share of the lowest frequencies that stand above the noise."""
+    line_share: float
+    """Part of the texture's power, relative to its smooth spectrum, in the strongest hundredth of the frequencies."""
     varied: float
     """Log-likelihood that a mixture of neighbouring blurs gains over the best single one."""
 
@@ -130,6 +133,7 @@ def observe(plane: NDArray[np.float32], mask: Mask, model: DepthModel, options: 
         fit,
         max(pixels, size * size * windows[0].weight),
         _low_share(pooled.power, fit),
+        _line_share(pooled.power, expected, fit),
         varied - float(fit.log_likelihood.max()),
     )
 
@@ -180,6 +184,15 @@ def _low_share(power: FloatArray, fit: SpectralFit) -> float:
     return float((power[lowest] > 3.0 * noise).mean())
 
 
+def _line_share(power: FloatArray, expected: NDArray[np.float32], fit: SpectralFit) -> float:
+    modulus, direction, used = frequencies(power.shape[0])
+    best = int(fit.log_likelihood.argmax())
+    texture = np.exp(basis(modulus[used], direction[used]) @ fit.coefficients[best])
+    model = texture * np.maximum(expected[best][used], 0.0) + np.exp(float(fit.log_noise[best]))
+    ratio = np.sort(power[used] / model)
+    return float(ratio[-max(1, ratio.size // 100) :].sum() / ratio.sum())
+
+
 def side_features(
     plane: NDArray[np.float32], seen: Observation, row: int, model: DepthModel, options: EvidenceOptions
 ) -> FloatArray:
@@ -223,7 +236,7 @@ def measure_region(
     gain = float(seen.fit.log_likelihood.max()) - seen.fit.null
     if gain < options.least_evidence:
         return _refused(model, "no-texture", pixels, "no texture above the noise")
-    if seen.low_share < _LEAST_LOW_SHARE:
+    if seen.low_share < _LEAST_LOW_SHARE or seen.line_share > _MOST_LINE_SHARE:
         reason = "only isolated spatial frequencies stand above the noise (a strict pattern): any blur explains them"
         return _refused(model, "no-texture", pixels, reason)
     return _conclude(plane, seen, model, learned, options)
