@@ -189,12 +189,17 @@ def _objects(
         Single(
             f"{scene.path.stem}: {scene.truth.names[number - 1]}",
             outcome_of(
-                estimates[number], method=method, texture=scene.truth.names[number - 1], size="object", light="",
+                estimates[number], method=method, texture=_kind_of(scene.truth.names[number - 1]), size="object", light="",
                 true_mm=true_mm, seconds=seconds, on_grid=true_mm % GRID_MM == 0, pixels=int((labels == number).sum()),
             ),
         )
         for number, true_mm in depths.items()
     ]  # fmt: skip
+
+
+def _kind_of(name: str) -> str:
+    """Objects of one kind may be numbered: ``brick 2`` is a brick."""
+    return name.rstrip("0123456789").rstrip() or name
 
 
 def _single_depths(scene: TrueScene, image: LinearImage) -> dict[int, float]:
@@ -223,7 +228,7 @@ def _merged(scene: TrueScene, bank: Bank, method: str, settings: Mapping[str, st
         estimate = measured.estimates.get(result.region)
         nan = float("nan")
         outcome = Outcome(
-            method=method, texture=result.name, size="merged", light="", true_mm=result.true_mm,
+            method=method, texture=_kind_of(result.name), size="merged", light="", true_mm=result.true_mm,
             depth_mm=result.measured_mm, interval_mm=estimate.interval_mm if estimate else (nan, nan),
             confidence=estimate.confidence if estimate else 0.0, status=result.status,
             seconds=measured.seconds / max(len(measured.estimates), 1), on_grid=result.true_mm % GRID_MM == 0,
