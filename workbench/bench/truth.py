@@ -189,8 +189,9 @@ def _objects(
         Single(
             f"{scene.path.stem}: {scene.truth.names[number - 1]}",
             outcome_of(
-                estimates[number], method=method, texture=_kind_of(scene.truth.names[number - 1]), size="object", light="",
-                true_mm=true_mm, seconds=seconds, on_grid=true_mm % GRID_MM == 0, pixels=int((labels == number).sum()),
+                estimates[number], method=method, texture=_kind_of(scene.truth.names[number - 1]), size="object",
+                light="", true_mm=true_mm, seconds=seconds, on_grid=true_mm % GRID_MM == 0,
+                pixels=int((labels == number).sum()),
             ),
         )
         for number, true_mm in depths.items()
