@@ -67,11 +67,12 @@ def _show(context: Context, checkup: Checkup) -> None:
     seen = checkup.plugged_in
     for name, things in (("cameras", seen.cameras), ("serial ports", seen.serial_ports), ("browsers", seen.browsers)):
         context.say(f"{name + ':':{_WORD + _SUBJECT}}{', '.join(things) or 'none'}")
-    context.say()
     console = context.console
     check_width = max((len(finding.check) for finding in checkup.findings), default=0) + 2
     for severity in Severity:
-        for finding in checkup.of(severity):
+        for number, finding in enumerate(checkup.of(severity)):
+            if number == 0:
+                context.say()
             console.print(_lines(finding, check_width, console.width))
     context.say()
     context.say(_summary(checkup))
@@ -80,14 +81,15 @@ def _show(context: Context, checkup: Checkup) -> None:
 def _lines(finding: Finding, check_width: int, width: int) -> Text:
     """One finding: what was seen, and below it the way to mend it, wrapped within their column."""
     indent = _WORD + _SUBJECT + check_width
-    text = Text(f"{finding.severity.word:{_WORD}}", style=_STYLE[finding.severity])
-    text.append(f"{finding.subject:{_SUBJECT}}{finding.check:{check_width}}", style="default")
+    text = Text()
+    text.append(f"{finding.severity.word:{_WORD}}", style=_STYLE[finding.severity])
+    text.append(f"{finding.subject:{_SUBJECT}}{finding.check:{check_width}}")
     seen = textwrap.wrap(finding.seen, max(width - indent, _NARROWEST), break_on_hyphens=False)
     mend = textwrap.wrap(
         finding.mend, max(width - indent, _NARROWEST), break_on_hyphens=False, initial_indent="-> ",
         subsequent_indent="   ",
     )  # fmt: skip
-    text.append(("\n" + " " * indent).join([*seen, *mend]), style="default")
+    text.append(("\n" + " " * indent).join([*seen, *mend]))
     return text
 
 
