@@ -118,7 +118,7 @@ class Gphoto2Camera:
         return self._attempt(lambda: facts_of(self._link))
 
     def capture(self, exposure: Exposure, destination: Path) -> CaptureResult:
-        """Expose once; the RAW file is at ``destination`` when this returns.
+        """Expose once; the RAW file is at ``destination``, but with its own suffix, when this returns.
 
         Raises
         ------
@@ -142,7 +142,8 @@ class Gphoto2Camera:
                 raise
             self._frames[self._link.process.starts] += 1
         settings = {**frame.settings, "file": str(frame.file)}
-        return CaptureResult(destination, download.sha256, download.bytes, frame.exposure, settings)
+        path = frame.file.at(destination)
+        return CaptureResult(path, download.sha256, download.bytes, frame.exposure, settings)
 
     def _take(self, exposure: Exposure, destination: Path, pending: list[_Frame]) -> tuple[_Frame, Download]:
         if self._suspicious:  # a late file of a failed frame must not be taken for this one's
@@ -158,7 +159,8 @@ class Gphoto2Camera:
             read_back, texts = setup.set_exposure(exposure)
             file = self._shooter.expose(read_back.time_s)
             pending.append(_Frame(file, read_back, texts, self._link.opens))
-        return pending[0], self._shooter.fetch(pending[0].file, destination, self._validate)
+        file = pending[0].file
+        return pending[0], self._shooter.fetch(file, file.at(destination), self._validate)
 
     def preview(self) -> bytes:
         """One JPEG of the live view.

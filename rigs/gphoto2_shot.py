@@ -49,6 +49,10 @@ class CameraFile:
         """Whether it lies on a card; EOS and Nikon cameras list their memory as the root folder."""
         return self.folder != "/"
 
+    def at(self, destination: Path) -> Path:
+        """Where this file goes on our disk: a RAW file keeps the suffix that tells its kind."""
+        return destination.with_suffix(Path(self.name).suffix.lower()) if self.is_raw else destination
+
     def __str__(self) -> str:
         return f"{self.folder.rstrip('/')}/{self.name}"
 

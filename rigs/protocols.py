@@ -64,7 +64,10 @@ class Camera(Protocol):
         ...
 
     def capture(self, exposure: Exposure, destination: Path) -> CaptureResult:
-        """Expose once and deliver the RAW file at ``destination`` (written under a temporary name, renamed)."""
+        """Expose once and deliver the RAW file at ``destination`` (written under a temporary name, renamed).
+
+        A file whose kind has another suffix keeps that one: the result's ``path`` is where it is.
+        """
         ...
 
     def preview(self) -> bytes:

@@ -55,6 +55,7 @@ class FrameReader:
     def _develop(self, path: Path) -> LinearImage:
         image = develop(path, pixel_pitch_mm=self._pixel_pitch_mm)
         self._check_size(path, image.info)
+        _check_rows(path, image)
         return image
 
     def _check_size(self, path: Path, info: FrameInfo) -> None:
@@ -73,6 +74,16 @@ class FrameReader:
                 "set image quality to full-size RAW and leave the camera's menus alone"
             )
         self._size = size
+
+
+def _check_rows(path: Path, image: LinearImage) -> None:
+    """Every row of a photograph has noise in it, unless it is saturated; what a broken transfer left out has none."""
+    constant = (image.planes == image.planes[:, :1]).all(axis=(1, 2)) & ~image.saturated.all(axis=1)
+    if constant.any():
+        raise FrameError(
+            f"{path}: {int(constant.sum())} of {constant.size} rows of pixels are empty (lost on the way, or damaged); "
+            "check cable and card, take it again"
+        )
 
 
 _Identity = tuple[int, int, int, int]

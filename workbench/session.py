@@ -239,6 +239,7 @@ class SessionRunner:
             try:
                 self._rig.panel.show(pattern.pattern())
                 result = self._rig.camera.capture(exposure, path)
+                path = result.path
                 if sha256_file(result.path) != result.sha256:
                     raise CaptureError(f"{result.path}: differs from what the camera delivered; check the disk")
                 return result, self._check(result.path)

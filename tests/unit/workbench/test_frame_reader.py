@@ -59,6 +59,21 @@ def test_a_reduced_frame_of_a_known_camera_is_refused_from_the_first_on(tmp_path
         FrameReader(None).check(_frame(tmp_path / "a.dng", tags=tags))
 
 
+def test_rows_that_got_lost_on_the_way_are_noticed(tmp_path: Path) -> None:
+    path = _frame(tmp_path / "a.dng")
+    data = path.read_bytes()
+    path.write_bytes(data[: -20 * 96 * 2] + bytes(20 * 96 * 2))
+    with pytest.raises(FrameError, match=r"10 of 32 rows of pixels are empty"):
+        FrameReader(None).check(path)
+
+
+def test_rows_that_are_saturated_are_no_damage(tmp_path: Path) -> None:
+    mosaic = np.random.default_rng(1).integers(2000, 9000, (64, 96)).astype(np.uint16)
+    mosaic[:20] = 15000
+    write_dng(tmp_path / "a.dng", mosaic, TAGS, compression="none")
+    FrameReader(None).check(tmp_path / "a.dng")
+
+
 def test_a_picture_that_is_no_raw_file_is_refused(tmp_path: Path) -> None:
     np.save(tmp_path / "a.npy", np.random.default_rng(1).random((64, 64, 3)).astype(np.float32))
     with pytest.raises(FrameError, match="no RAW file"):
