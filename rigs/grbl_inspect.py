@@ -31,18 +31,17 @@ def inspect_grbl(settings: GrblSettings) -> StageFacts:
         )
         status = controller.wake()
         if status.state not in _ANSWERS_SETTINGS:
-            return _busy(controller, settings, status)
+            return _busy(settings, status)
         machine = read_machine(controller, settings.axis)
         status = controller.status("looking at it")
     finally:
         link.close()
     return StageFacts(
-        identity=DeviceIdentity(
-            kind="grbl", model=machine.model, firmware=machine.firmware, extra={"port": settings.port}
-        ),
+        identity=_identity(settings, machine.model, machine.firmware),
         state=status.state,
         referenced=False,  # opening the port may have reset it: the driver homes on every connection
         problem=_problem(status, machine),
+        disturbance=_disturbance(status),
         remarks=_remarks(status, machine, settings, was_deaf=controller.was_deaf),
         homing=machine.homing,
         soft_limits=machine.soft_limits,
@@ -52,23 +51,42 @@ def inspect_grbl(settings: GrblSettings) -> StageFacts:
     )
 
 
-def _busy(controller: GrblController, settings: GrblSettings, status: Status) -> StageFacts:
-    _, what, way_out = NOT_READY[status.state]
+def _identity(settings: GrblSettings, model: str, firmware: str = "") -> DeviceIdentity:
+    return DeviceIdentity(kind="grbl", model=model, firmware=firmware, extra={"port": settings.port})
+
+
+def _busy(settings: GrblSettings, status: Status) -> StageFacts:
+    """What is known of a controller that doesn't tell its settings in this state."""
     return StageFacts(
-        identity=DeviceIdentity(kind="grbl", model=controller.banner or "GRBL", extra={"port": settings.port}),
+        identity=_identity(settings, "GRBL"),
         state=status.state,
         referenced=False,
-        problem=(f"the controller {what}", way_out),
+        problem=_door(status),
+        disturbance=_disturbance(status),
     )
 
 
 def _problem(status: Status, machine: GrblMachine) -> tuple[str, str] | None:
-    if status.state == "Check":
-        _, what, way_out = NOT_READY["Check"]
-        return f"the controller {what}", way_out
     if status.state == "Alarm" and not machine.homing:
-        return "the controller is in alarm, and can't be homed out of it", "switch homing on ($22=1)"
-    return None
+        return (
+            "the controller is in alarm, and can't be homed out of it",
+            "switch it off and on, or set $22=1",
+        )
+    return _door(status)
+
+
+def _door(status: Status) -> tuple[str, str] | None:
+    if status.state != "Door":
+        return None
+    _, what, way_out = NOT_READY["Door"]
+    return f"the controller {what}", way_out
+
+
+def _disturbance(status: Status) -> tuple[str, str] | None:
+    if status.state in ("Idle", "Alarm", "Door"):
+        return None
+    _, what, way_out = NOT_READY[status.state]
+    return f"the controller {what}: calibrate ends that", way_out
 
 
 def _remarks(

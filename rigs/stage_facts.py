@@ -20,7 +20,9 @@ class StageFacts:
     referenced
         Whether the controller vouches for its position now. False is usual before a session: it homes first.
     problem
-        Why it would not move, and the way out; None: nothing speaks against it.
+        Why it can't be homed or moved, and the way out; None: nothing speaks against it.
+    disturbance
+        What it is doing that a session would end, and the way out.
     remarks
         What is odd without stopping it: name, what was seen, the way out.
     homing, soft_limits, hard_limits
@@ -35,6 +37,7 @@ class StageFacts:
     state: str
     referenced: bool
     problem: tuple[str, str] | None = None
+    disturbance: tuple[str, str] | None = None
     remarks: tuple[tuple[str, str, str], ...] = ()
     homing: bool | None = None
     soft_limits: bool | None = None

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import os
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from datetime import datetime
+from pathlib import Path
 
 from rigs.errors import DeviceBusyError, RigError
 from rigs.gphoto2_camera import Gphoto2Camera, survey
@@ -14,10 +17,11 @@ from workbench.config import CameraConfig
 from workbench.devices import gphoto2_settings
 from workbench.doctor.camera_facts import CAMERA, Demand, facts_findings, pixel_pitch_finding
 from workbench.doctor.findings import Finding
-from workbench.doctor.processes import camera_programs, desktop_mounts, running
+from workbench.doctor.processes import camera_programs, desktop_mounts
 
-_PATIENCE_S = 5.0
-"""A check doesn't wait for a camera to come back as long as a session does."""
+_USB_PORT = re.compile(r"usb:(\d+),(\d+)$")
+_CALL_S, _PATIENCE_S = 15.0, 5.0
+"""A check waits for an answer, or for a camera to come back, less long than a session does."""
 
 
 def cameras_in_sight(*, needed: bool) -> tuple[list[Finding], tuple[str, ...]]:
@@ -30,7 +34,9 @@ def cameras_in_sight(*, needed: bool) -> tuple[list[Finding], tuple[str, ...]]:
     return [CAMERA.ok("library", seen.library)], tuple(map(str, seen.cameras))
 
 
-def camera_findings(config: CameraConfig, demand: Demand, in_sight: Sequence[str]) -> list[Finding]:
+def camera_findings(
+    config: CameraConfig, demand: Demand, in_sight: Sequence[str], *, programs: Sequence[str]
+) -> list[Finding]:
     """Check the camera that rig.yaml names.
 
     Parameters
@@ -41,14 +47,32 @@ def camera_findings(config: CameraConfig, demand: Demand, in_sight: Sequence[str
         What the plan needs.
     in_sight
         Cameras that are plugged in (see :func:`cameras_in_sight`).
+    programs
+        Names of running programs (see :func:`workbench.doctor.processes.running`).
     """
     if config.kind == "simulated":
         if in_sight:
             return [CAMERA.note("connection", f"simulated camera; {in_sight[0]} isn't used", "camera.kind: gphoto2")]
         return [CAMERA.ok("connection", "simulated camera")]
     settings = gphoto2_settings(config)
-    facts, found = usb_camera_findings(settings, demand, now=datetime.now(), programs=running())
-    return found if facts is None else [*found, pixel_pitch_finding(config.pixel_pitch_mm, facts)]
+    facts, found = usb_camera_findings(settings, demand, now=datetime.now(), programs=programs)
+    if facts is None:
+        return [*found, *permission_findings(in_sight)]
+    return [*found, pixel_pitch_finding(config.pixel_pitch_mm, facts)]
+
+
+def permission_findings(in_sight: Sequence[str], bus: Path = Path("/dev/bus/usb")) -> list[Finding]:
+    """Whether this user may open the cameras on USB: the library sees one that it may not open, and doesn't say why."""
+    nodes = [bus / match[1] / match[2] for text in in_sight if (match := _USB_PORT.search(text))]
+    return [
+        CAMERA.error(
+            "permission",
+            f"no permission for {node}",
+            "install the udev rules of libgphoto2 (Debian: libgphoto2-6), log in at the desk, plug the camera in again",
+        )
+        for node in nodes
+        if node.exists() and not os.access(node, os.R_OK | os.W_OK)
+    ]
 
 
 def usb_camera_findings(
@@ -81,6 +105,7 @@ def usb_camera_findings(
     """
     impatient = replace(
         settings,
+        call_timeout_s=min(settings.call_timeout_s, _CALL_S),
         return_timeout_s=min(settings.return_timeout_s, _PATIENCE_S),
         power_cycle_timeout_s=min(settings.power_cycle_timeout_s, _PATIENCE_S),
     )

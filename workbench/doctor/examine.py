@@ -14,6 +14,7 @@ from workbench.doctor.camera_facts import Demand
 from workbench.doctor.findings import Checkup, Finding, PluggedIn, in_order
 from workbench.doctor.host import computer_findings, newest_file_s, versions
 from workbench.doctor.panel import panel_findings
+from workbench.doctor.processes import running
 from workbench.doctor.project import PROJECT, plan_finding, project_findings
 from workbench.doctor.stage import stage_findings
 from workbench.errors import InputError
@@ -67,7 +68,7 @@ def examine(
         frames = estimate.shots + math.ceil(METER_SHOTS_PER_DEPTH * len(depths_mm))
         demand = Demand(frames, estimate.bytes, plan.iso)
     found += project_findings(project, config)
-    installed = versions()
+    installed, programs = versions(), running()
     found += computer_findings(
         project.root,
         demand.bytes,
@@ -88,9 +89,9 @@ def examine(
         except OSError as error:  # a directory that can't be written to: said by the check of the disk
             found.append(PROJECT.warning("rig", f"can't be locked ({error.strerror})", "see computer: disk"))
         else:
-            found += camera_findings(config.camera, demand, cameras)
+            found += camera_findings(config.camera, demand, cameras, programs=programs)
             step(2)
-            found += stage_findings(config, depths_mm, operator_present=operator_present)
+            found += stage_findings(config, depths_mm, programs=programs, operator_present=operator_present)
             step(3)
             on_panel, browsers = panel_findings(config.panel, dot_px, wait_s=panel_wait_s, tell=tell)
             found += on_panel

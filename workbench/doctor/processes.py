@@ -1,4 +1,4 @@
-"""Running programs that are known to grab cameras; read from /proc, empty where there is none."""
+"""Running programs that are known to grab cameras and serial ports; read from /proc, empty where there is none."""
 
 from __future__ import annotations
 
@@ -7,6 +7,12 @@ from pathlib import Path
 
 _MOUNTS = ("gvfsd-gphoto2", "gvfs-gphoto2-volume-monitor")
 _CAMERA_PROGRAMS = ("gphoto2", "entangle", "darktable", "digikam", "shotwell", "rawtherapee", "kamera")
+
+_SERIAL_PROGRAMS = (
+    ("brltty", "it takes adapters with a CH340 chip for braille displays", "uninstall brltty, plug the stage in again"),
+    ("ModemManager", "it talks to a new serial port as if it were a modem", "wait half a minute after plugging in"),
+)
+"""Each with what it does and the way out."""
 
 
 def running(proc: Path = Path("/proc")) -> tuple[str, ...]:
@@ -29,3 +35,8 @@ def desktop_mounts(programs: Sequence[str]) -> list[str]:
 def camera_programs(programs: Sequence[str]) -> list[str]:
     """Programs with which people look at their cameras."""
     return [name for name in _CAMERA_PROGRAMS if name in programs]
+
+
+def serial_programs(programs: Sequence[str]) -> list[tuple[str, str, str]]:
+    """Programs that take serial ports: name, what they do, the way out."""
+    return [entry for entry in _SERIAL_PROGRAMS if entry[0] in programs]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from rigs.errors import RigError
 from rigs.grbl_inspect import inspect_grbl
 from rigs.rig import DepthAxis
@@ -11,12 +13,15 @@ from rigs.zaber_stage import ZaberStage
 from workbench.config import RigConfig, StageConfig
 from workbench.devices import MANUAL_LIMITS_MM, grbl_settings, simulated_world, zaber_settings
 from workbench.doctor.findings import Finding, Subject
+from workbench.doctor.processes import serial_programs
 from workbench.units import cm
 
 STAGE = Subject("stage")
 
 
-def stage_findings(config: RigConfig, depths_mm: tuple[float, ...], *, operator_present: bool) -> list[Finding]:
+def stage_findings(
+    config: RigConfig, depths_mm: tuple[float, ...], *, programs: Sequence[str], operator_present: bool
+) -> list[Finding]:
     """Check the stage that rig.yaml names.
 
     Parameters
@@ -25,6 +30,8 @@ def stage_findings(config: RigConfig, depths_mm: tuple[float, ...], *, operator_
         The rig.
     depths_mm
         Depths of the plan, ascending; empty where there is no plan.
+    programs
+        Names of running programs (see :func:`workbench.doctor.processes.running`).
     operator_present
         Whether somebody at a terminal can be asked to move a manual stage.
     """
@@ -39,8 +46,8 @@ def stage_findings(config: RigConfig, depths_mm: tuple[float, ...], *, operator_
             try:
                 facts = _facts(stage)
             except RigError as error:
-                return [STAGE.failure("connection", error)]
-            return controller_findings(stage, facts, depths_mm)
+                return [STAGE.failure("connection", error), *_programs(stage, programs)]
+            return [*controller_findings(stage, facts, depths_mm), *_programs(stage, programs)]
 
 
 def _facts(config: StageConfig) -> StageFacts:
@@ -51,6 +58,12 @@ def _facts(config: StageConfig) -> StageFacts:
         return device.facts()
     finally:
         device.close()
+
+
+def _programs(config: StageConfig, programs: Sequence[str]) -> list[Finding]:
+    """Programs that are known to take serial ports away."""
+    taking = [] if "://" in config.port else serial_programs(programs)
+    return [STAGE.warning("other programs", f"{name} runs: {what}", mend) for name, what, mend in taking]
 
 
 def _manual(config: StageConfig, depths_mm: tuple[float, ...], *, operator_present: bool) -> list[Finding]:
@@ -107,6 +120,8 @@ def controller_findings(config: StageConfig, facts: StageFacts, depths_mm: tuple
 def _state(facts: StageFacts) -> Finding:
     if facts.problem is not None:
         return STAGE.error("state", *facts.problem)
+    if facts.disturbance is not None:
+        return STAGE.warning("state", *facts.disturbance)
     if facts.state == "Alarm":
         return STAGE.note(
             "state", "alarm: locked until it is homed, as after power-up", "calibrate homes it; keep its way free"

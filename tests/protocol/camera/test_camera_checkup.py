@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from tests.protocol.camera.conftest import QUICK, VirtualCamera
-from workbench.doctor.camera import usb_camera_findings
+from workbench.doctor.camera import permission_findings, usb_camera_findings
 from workbench.doctor.camera_facts import Demand
 from workbench.doctor.findings import Finding
 
@@ -84,6 +84,18 @@ def test_camera_that_cannot_be_opened_is_one_finding_with_a_way_out(
     assert found["connection"].severity.word == "error"
     assert found["connection"].mend
     assert set(found) == {"connection", "other programs"}
+
+
+def test_usb_device_without_permission_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    node = tmp_path / "001" / "005"
+    node.parent.mkdir()
+    node.touch()
+    in_sight = ("Canon EOS 650D at usb:001,005", "Virtual at disk:/tmp", "Gone at usb:001,007")
+    assert permission_findings(in_sight, tmp_path) == []
+    monkeypatch.setattr("os.access", lambda *_: False)
+    (finding,) = permission_findings(in_sight, tmp_path)
+    assert finding.seen == f"no permission for {node}"
+    assert "udev" in finding.mend
 
 
 def test_virtual_camera_through_the_real_library(virtual: VirtualCamera) -> None:

@@ -36,6 +36,7 @@ def test_protected_idle_controller_is_wholly_well() -> None:
     ("changes", "check", "severity", "words"),
     [
         ({"state": "Alarm"}, "state", "note", "homes it"),
+        ({"disturbance": ("is paused: calibrate ends that", "press resume")}, "state", "warning", "press resume"),
         ({"problem": ("is being jogged", "wait until it stands")}, "state", "error", "wait until it stands"),
         ({"hard_limits": False}, "hard limits", "note", "$21=1"),
         ({"soft_limits": False}, "soft limits", "error", "$20=1"),
