@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from rigs.grbl_controller import GrblController
 from rigs.grbl_machine import GrblMachine, read_machine
 from rigs.grbl_protocol import Status
@@ -10,7 +12,7 @@ from rigs.protocols import DeviceIdentity
 from rigs.serial_link import SerialLink
 from rigs.stage_facts import StageFacts
 
-_ANSWERS_SETTINGS = ("Idle", "Alarm", "Check")
+_ANSWERS_SETTINGS = ("Idle", "Alarm")
 _MOTORS_STAY_ON = 255
 
 
@@ -41,7 +43,6 @@ def inspect_grbl(settings: GrblSettings) -> StageFacts:
         state=status.state,
         referenced=False,  # opening the port may have reset it: the driver homes on every connection
         problem=_problem(status, machine),
-        disturbance=_disturbance(status),
         remarks=_remarks(status, machine, settings, was_deaf=controller.was_deaf),
         homing=machine.homing,
         soft_limits=machine.soft_limits,
@@ -57,13 +58,11 @@ def _identity(settings: GrblSettings, model: str, firmware: str = "") -> DeviceI
 
 def _busy(settings: GrblSettings, status: Status) -> StageFacts:
     """What is known of a controller that doesn't tell its settings in this state."""
-    return StageFacts(
-        identity=_identity(settings, "GRBL"),
-        state=status.state,
-        referenced=False,
-        problem=_door(status),
-        disturbance=_disturbance(status),
-    )
+    _, what, way_out = NOT_READY[status.state]
+    facts = StageFacts(identity=_identity(settings, "GRBL"), state=status.state, referenced=False)
+    if status.state == "Door":
+        return replace(facts, problem=(f"the controller {what}", way_out))
+    return replace(facts, disturbance=(f"the controller {what}: calibrate ends that", way_out))
 
 
 def _problem(status: Status, machine: GrblMachine) -> tuple[str, str] | None:
@@ -72,21 +71,7 @@ def _problem(status: Status, machine: GrblMachine) -> tuple[str, str] | None:
             "the controller is in alarm, and can't be homed out of it",
             "switch it off and on, or set $22=1",
         )
-    return _door(status)
-
-
-def _door(status: Status) -> tuple[str, str] | None:
-    if status.state != "Door":
-        return None
-    _, what, way_out = NOT_READY["Door"]
-    return f"the controller {what}", way_out
-
-
-def _disturbance(status: Status) -> tuple[str, str] | None:
-    if status.state in ("Idle", "Alarm", "Door"):
-        return None
-    _, what, way_out = NOT_READY[status.state]
-    return f"the controller {what}: calibrate ends that", way_out
+    return None
 
 
 def _remarks(

@@ -75,7 +75,6 @@ def test_check_mode_is_a_disturbance(grbl: GrblBench) -> None:
     facts = look(grbl)
     assert facts.disturbance is not None
     assert "only checks G-code" in facts.disturbance[0]
-    assert facts.travel_mm is not None
 
 
 def test_stage_that_somebody_else_moves_is_left_alone(grbl: GrblBench) -> None:
