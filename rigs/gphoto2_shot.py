@@ -193,7 +193,7 @@ class Shooter:
         finally:
             part.unlink(missing_ok=True)
         _sync_directory(destination.parent)
-        self._delivered[self._link.opens, file] = download.sha256
+        self._delivered[self._link.process.starts, file] = download.sha256
         if self._in_memory(file) or not self._settings.keep_on_card:
             with suppress(FaultError):  # some cameras forget a fetched frame by themselves
                 self._call_file("delete", file)
@@ -216,7 +216,7 @@ class Shooter:
         if on_disk != sent:
             detail = f"{file.name}: {on_disk.bytes} bytes on disk, {sent.bytes} sent, or changed on the way"
             raise FaultError(Fault.SHORT_FILE, "download", detail)
-        if self._delivered.get((self._link.opens, file)) == sent.sha256:
+        if self._delivered.get((self._link.process.starts, file)) == sent.sha256:
             raise FaultError(Fault.STALE_FILE, "download", file.name)  # two exposures never agree in every bit
         return sent
 

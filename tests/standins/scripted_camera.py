@@ -75,6 +75,10 @@ class ScriptedCamera:
     def _total(self, op: str) -> int:
         return sum(json.loads(line)["op"] == op for line in self._calls.read_text().splitlines())
 
+    def _releases(self) -> int:
+        calls = map(json.loads, self._calls.read_text().splitlines())
+        return sum(call["op"] == "trigger" or str(call.get("value", "")).startswith("Press Full") for call in calls)
+
     def answer(self, request: dict[str, Any]) -> dict[str, Any]:
         op, count = request["op"], self._count(request)
         total = self._total(op)
@@ -103,7 +107,7 @@ class ScriptedCamera:
             case "answer":
                 return {"ok": rule["ok"]}
             case "events":
-                self._events = list(rule["events"])
+                self._events += rule["events"]
                 return {"ok": None}
             case "content":
                 return {"ok": self._write(request["path"], bytes.fromhex(rule["hex"]))}
@@ -136,8 +140,8 @@ class ScriptedCamera:
         return dict(self._widgets[name])
 
     def do_trigger(self) -> None:
-        number = self._total("trigger")
-        self._events = [
+        number = self._releases()
+        self._events += [
             {"event": "other", "text": "PTP Property d101 changed"},
             {"event": "file", "folder": CARD, "name": f"IMG_{number:04}.CR2"},
             {"event": "complete"},
