@@ -134,7 +134,9 @@ class GrblStage:
                 self._link, reply_timeout_s=settings.reply_timeout_s, boot_timeout_s=settings.boot_timeout_s
             )
             status = self._controller.wake()
-            if status.state not in ("Idle", "Alarm"):
+            if status.state == "Check":  # nothing moves in it, and nothing but a reset leaves it for sure
+                self._controller.reset()
+            elif status.state not in ("Idle", "Alarm"):
                 self._controller.rest(settings.reply_timeout_s)
             self._machine: GrblMachine = read_machine(self._controller, settings.axis)
             self._machine.require_safety(settings.allow_without_homing, settings.allow_without_soft_limits)

@@ -75,6 +75,8 @@ def test_check_mode_is_a_disturbance(grbl: GrblBench) -> None:
     facts = look(grbl)
     assert facts.disturbance is not None
     assert "only checks G-code" in facts.disturbance[0]
+    grbl.homed()  # as was promised, a session isn't kept from homing
+    assert grbl.firmware.state == "Idle"
 
 
 def test_stage_that_somebody_else_moves_is_left_alone(grbl: GrblBench) -> None:
