@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import signal
 import socket
+import subprocess
+import threading
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from typing import Any
 
 import pytest
-from command_line import Outcome, call, done, listing, refused
+from command_line import FEW, Outcome, arguments, call, done, listing, refused
 
+from rigs.serial_link import SerialLink
 from tests.standins.grbl_firmware import GrblFirmware
 from tests.standins.panel_page import PanelPage
 from tests.standins.pty_server import PtyServer
@@ -307,3 +311,63 @@ def test_missing_or_other_camera_is_a_finding_and_the_rest_is_still_checked(
     assert findings["camera.connection"]["severity"] == "error"
     assert findings["stage.travel"]["severity"] == findings["panel.server"]["severity"] == "ok"
     assert outcome.err.splitlines()[-1] == "workbench: not ready to calibrate: camera connection"
+
+
+def test_plan_that_cannot_be_is_a_finding(rig: Path) -> None:
+    rewrite(rig, "calibration", "  from: 60 cm\n  to: 90 cm\n  step: 50 cm")
+    outcome = call("-C", rig, "doctor", "--json")
+    assert outcome.code == 3
+    findings = found(outcome)
+    assert "too few" in findings["project.plan"]["seen"]
+    assert findings["stage.travel"]["seen"] == "reaches 50 cm to 350 cm"
+
+
+def test_session_that_stopped_is_remembered(rig: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def pull_the_plug(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("rigs.simulated.devices.SimulatedCamera.capture", pull_the_plug)
+    assert call("-C", rig, "calibrate", *FEW).code == 130
+    session = found(done("-C", rig, "doctor", "--json"))["project.session"]
+    assert session["severity"] == "note"
+    assert session["seen"] == "s0001 stopped after 0 shots"
+    assert session["mend"] == "`workbench resume s0001` goes on with it"
+
+
+@pytest.mark.parametrize("settings", [{"_22": 0, "_20": 0}, {"_20": 0}, {"_130": 2000.0}], ids=str)
+def test_what_the_doctor_calls_an_error_stops_a_calibration(on_grbl: OnGrbl, settings: dict[str, float]) -> None:
+    with on_grbl(**settings) as (_, rig):
+        assert call("-C", rig, "doctor").code == 3
+        stopped = call("-C", rig, "calibrate")
+    assert stopped.code in (2, 4)
+    assert not list(rig.rglob("*.dng"))
+
+
+def children() -> set[str]:
+    return {pid for task in Path("/proc/self/task").iterdir() for pid in (task / "children").read_text().split()}
+
+
+def test_no_thread_process_or_port_is_left_behind(on_grbl: OnGrbl, panel_port: int, virtual_camera: None) -> None:
+    with on_grbl() as (line, rig), PanelPage(panel_port) as page:
+        rewrite(rig, "camera", CAMERA.format(model="D750"))
+        threads, processes = set(threading.enumerate()), children()
+        done("-C", rig, "doctor")
+        assert page.shown[-1]["kind"] == "black"
+        assert {thread for thread in threading.enumerate() if thread.is_alive()} <= threads
+        assert children() <= processes
+        link = SerialLink(line.path, 115200)  # a port that is still open elsewhere would be busy
+        link.close()
+
+
+def test_interrupted_wait_for_a_page_frees_the_port(rig: Path, panel_port: int) -> None:
+    command = arguments("-C", rig, "doctor", "--panel-wait", "60")
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stderr is not None
+        for line in process.stderr:
+            if "panel: open" in line:
+                break
+        process.send_signal(signal.SIGINT)
+        assert process.wait(20) == 130
+        assert "Traceback" not in process.stderr.read()
+    with socket.create_server(("127.0.0.1", panel_port)):
+        pass
