@@ -116,7 +116,7 @@ def test_rail_after_power_up_is_ready_and_nothing_moves(on_grbl: OnGrbl) -> None
     assert findings["stage.state"]["severity"] == "note"
     assert "locked until it is homed" in findings["stage.state"]["seen"]
     assert findings["stage.homing"]["severity"] == findings["stage.soft-limits"]["severity"] == "ok"
-    assert findings["stage.travel"]["seen"] == "reaches 51 cm to 350 cm; the plan needs 60 cm to 350 cm"
+    assert findings["stage.travel"]["seen"] == "reaches 51 to 350.5 cm; the plan needs 60 to 350 cm"
 
 
 def test_rail_deaf_in_an_alarm_is_told(on_grbl: OnGrbl) -> None:
@@ -156,7 +156,7 @@ def test_travel_too_short_for_the_plan(on_grbl: OnGrbl) -> None:
     assert outcome.code == 3
     travel = found(outcome)["stage.travel"]
     assert travel["severity"] == "error"
-    assert travel["seen"] == "reaches 151 cm to 350 cm; the plan needs 60 cm to 350 cm"
+    assert travel["seen"] == "reaches 151 to 350.5 cm; the plan needs 60 to 350 cm"
     assert "calibration.from" in travel["mend"]
 
 
@@ -319,7 +319,7 @@ def test_plan_that_cannot_be_is_a_finding(rig: Path) -> None:
     assert outcome.code == 3
     findings = found(outcome)
     assert "too few" in findings["project.plan"]["seen"]
-    assert findings["stage.travel"]["seen"] == "reaches 50 cm to 350 cm"
+    assert findings["stage.travel"]["seen"] == "reaches 50 to 350 cm"
 
 
 def test_session_that_stopped_is_remembered(rig: Path, monkeypatch: pytest.MonkeyPatch) -> None:

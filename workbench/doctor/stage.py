@@ -14,7 +14,6 @@ from workbench.config import RigConfig, StageConfig
 from workbench.devices import MANUAL_LIMITS_MM, grbl_settings, simulated_world, zaber_settings
 from workbench.doctor.findings import Finding, Subject
 from workbench.doctor.processes import serial_programs
-from workbench.units import cm
 
 STAGE = Subject("stage")
 
@@ -186,10 +185,10 @@ def _travel(config: StageConfig, own_mm: tuple[float, float], depths_mm: tuple[f
         )
     axis = DepthAxis(config.depth.offset_mm, config.depth.sign, config.depth.scale)
     nearest, farthest = axis.depth_limits_mm(usable)
-    reach = f"{cm(nearest, 0)} to {cm(farthest, 0)}"
+    reach = _range(nearest, farthest)
     if not depths_mm:
         return [*found, STAGE.ok("travel", f"reaches {reach}")]
-    plan = f"{cm(depths_mm[0], 0)} to {cm(depths_mm[-1], 0)}"
+    plan = _range(depths_mm[0], depths_mm[-1])
     if all(nearest - 1e-6 <= depth <= farthest + 1e-6 for depth in depths_mm):
         return [*found, STAGE.ok("travel", f"reaches {reach}; the plan needs {plan}")]
     return [
@@ -200,3 +199,8 @@ def _travel(config: StageConfig, own_mm: tuple[float, float], depths_mm: tuple[f
             "change calibration.from and calibration.to, or correct stage.depth (offset, sign) in rig.yaml",
         ),
     ]
+
+
+def _range(nearest_mm: float, farthest_mm: float) -> str:
+    """Depths with all their digits: where a millimetre is missing, it has to be seen."""
+    return f"{nearest_mm / 10:g} to {farthest_mm / 10:g} cm"

@@ -29,7 +29,7 @@ def test_protected_idle_controller_is_wholly_well() -> None:
     found = findings(FACTS)
     assert not any(finding.severity for finding in found.values())
     assert found["connection"].seen == "GRBL, firmware 1.1h at /dev/rail"
-    assert found["travel"].seen == "reaches 51 cm to 350 cm; the plan needs 60 cm to 350 cm"
+    assert found["travel"].seen == "reaches 51 to 350.5 cm; the plan needs 60 to 350 cm"
 
 
 @pytest.mark.parametrize(
@@ -68,7 +68,7 @@ def test_limits_of_rig_yaml_are_held_against_the_controllers() -> None:
     assert positive["travel"].severity.word == "error"
     assert "counts below zero" in positive["travel"].mend
     narrow = findings(FACTS, limits=["-2000 mm", "0 mm"])
-    assert narrow["travel"].seen == "reaches 150 cm to 350 cm; the plan needs 60 cm to 350 cm"
+    assert narrow["travel"].seen == "reaches 150.5 to 350.5 cm; the plan needs 60 to 350 cm"
 
 
 def test_speed_beyond_the_controllers_is_told() -> None:
