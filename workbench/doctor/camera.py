@@ -52,7 +52,8 @@ def camera_findings(
     """
     if config.kind == "simulated":
         if in_sight:
-            return [CAMERA.note("connection", f"simulated camera; {in_sight[0]} isn't used", "camera.kind: gphoto2")]
+            seen = f"simulated camera; {in_sight[0]} isn't used"
+            return [CAMERA.note("connection", seen, "camera.kind: gphoto2 in rig.yaml uses it")]
         return [CAMERA.ok("connection", "simulated camera")]
     settings = gphoto2_settings(config)
     facts, found = usb_camera_findings(settings, demand, now=datetime.now(), programs=programs)

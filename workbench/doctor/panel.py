@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from rigs.browser_panel import BrowserPanel
-from rigs.errors import RigError
-from rigs.panel_messages import PageState
+from contextlib import suppress
+
+from rigs.browser_panel import BrowserPanel, PanelStatus
+from rigs.errors import NotAcknowledgedError, RigError
+from rigs.panel_messages import PageState, WakeLock
 from rigs.protocols import PanelAck, Pattern
 from rigs.web_server import is_loopback
 from workbench.config import PanelConfig
@@ -65,18 +67,18 @@ def _look(
     panel: BrowserPanel, found: list[Finding], config: PanelConfig, dot_px: float, *, wait_s: float, tell: Tell
 ) -> tuple[list[Finding], tuple[str, ...]]:
     tell(panel.invitation())
-    try:
+    with suppress(NotAcknowledgedError):
         panel.wait_ready(wait_s)
-    except RigError:
-        status = panel.status()
-        if status.connected:
-            seen, _, mend = status.problem.partition(": ")
-            return [*found, PANEL.error("page", seen, mend)], (_browser(panel),)
+    status = panel.status()
+    if status.last_heard_s is None:
         mend = "open the address printed above on the tablet; --panel-wait 2min gives time for it"
         if is_loopback(config.host):
             mend += "; a tablet needs panel.host: 0.0.0.0"
         return [*found, PANEL.error("page", f"none connected within {wait_s:g} s", mend)], ()
-    browser = _browser(panel)
+    if status.problem:
+        seen, _, mend = status.problem.partition(": ")
+        return [*found, PANEL.error("page", seen, mend)], (_browser(status),) if status.connected else ()
+    browser = _browser(status)
     found = [*found, PANEL.ok("page", browser)]
     try:
         painted = panel.show(Pattern("dot", size_px=dot_px, colour=config.dot.colour))
@@ -87,11 +89,9 @@ def _look(
     return [*found, *painted_findings(painted, page, pitch_mm=config.pixel_pitch_mm)], (browser,)
 
 
-def _browser(panel: BrowserPanel) -> str:
-    status = panel.status()
-    agent = status.user_agent
-    name = next((name for name in ("Firefox", "Edg", "OPR", "Chrome", "Safari") if name in agent), "browser")
-    return f"{ {'Edg': 'Edge', 'OPR': 'Opera'}.get(name, name) } at {status.address}".lstrip()
+def _browser(status: PanelStatus) -> str:
+    name = next((name for mark, name in _BROWSERS if mark in status.user_agent), "browser")
+    return f"{name} at {status.address}"
 
 
 def painted_findings(painted: PanelAck, page: PageState | None, *, pitch_mm: float) -> list[Finding]:
@@ -121,8 +121,17 @@ def painted_findings(painted: PanelAck, page: PageState | None, *, pitch_mm: flo
                 "there choose the screen's native resolution and 100 %",
             )
         )
-    if page is not None and page.wake_lock == "none":
-        found.append(
-            PANEL.warning("wake lock", "nothing keeps the screen on", "set the tablet's screen timeout to never")
-        )
+    if page is not None:
+        found.append(_awake(page.wake_lock))
     return found
+
+
+def _awake(wake_lock: WakeLock) -> Finding:
+    timeout = "set the tablet's screen timeout to never"
+    match wake_lock:
+        case "lock":
+            return PANEL.ok("wake lock", "the browser keeps the screen on")
+        case "video":
+            return PANEL.note("wake lock", "an invisible video keeps the screen on, which isn't a promise", timeout)
+        case "none":
+            return PANEL.warning("wake lock", "nothing keeps the screen on", timeout)

@@ -37,6 +37,7 @@ def test_full_screen_that_stays_awake_is_wholly_well() -> None:
     [
         ({"fullscreen": False}, "full screen", "warning", "tap the page"),
         ({"device_pixel_ratio": 1.25}, "pixel ratio", "note", "native resolution"),
+        ({"wake_lock": "video"}, "wake lock", "note", "screen timeout"),
         ({"wake_lock": "none"}, "wake lock", "warning", "screen timeout"),
         ({"painted_after_s": 2.5}, "painting", "warning", "network"),
     ],
