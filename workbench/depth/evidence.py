@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from calibration.bank import Bank
 from calibration.image import LinearImage
 from workbench.depth.estimate import DepthEstimate, Status
-from workbench.depth.evidence_colour import informative_plane
+from workbench.depth.evidence_colour import informative_mixture
 from workbench.depth.evidence_model import DepthModel, EvidenceOptions, Learned, learned_of, prepare
 from workbench.depth.evidence_posterior import Refined, find_modes, mode_scores, signed_posterior, summarise
 from workbench.depth.evidence_side import sparseness
@@ -47,7 +47,7 @@ __all__ = [
 FloatArray = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-_SOFT_MARGIN_PX = 24.0
+_RAMP_PX = 12.0
 _SHAPELESS_PX = 1.5
 _REFINED_STEPS, _REFINED_FINER, _REFINED_FISHER_STEPS = 2, 4, 6
 _REFINED_WITHIN, _NARROW = 30.0, 5.0
@@ -80,10 +80,12 @@ def estimate_evidence(
     """
     options = options or EvidenceOptions()
     model, learned = prepare(bank, options), learned_of(bank)
+    luminance = image.luminance
     found = {}
     for label in np.unique(labels[labels > 0]):
         mask = labels == label
-        plane, _ = informative_plane(image, mask & ~image.saturated, options.colour_gain)
+        mixture = informative_mixture(image, mask & ~image.saturated, options.colour_gain)
+        plane = luminance if mixture is None else np.asarray(image.planes @ mixture.astype(np.float32))
         found[int(label)] = measure_region(plane, image.saturated, mask, model, learned, options)
     return found
 
@@ -111,8 +113,9 @@ def observe(plane: NDArray[np.float32], mask: Mask, model: DepthModel, options: 
     """Pool the region's windows and fit every blur; None where no window fits."""
     margin = min(options.margin_px, options.margin * float(np.sqrt(mask.sum())))
     size = options.window_px
+    soft = soft_mask(mask, margin_px=margin, ramp_px=_RAMP_PX)
     while True:
-        windows = place_windows(mask, size, margin_px=margin, ramp_px=12.0, least_weight=options.least_weight)
+        windows = place_windows(mask, soft, size, least_weight=options.least_weight)
         if sum(w.weight for w in windows) >= _ENOUGH:
             break
         size //= 2
@@ -123,9 +126,8 @@ def observe(plane: NDArray[np.float32], mask: Mask, model: DepthModel, options: 
     averages, factor = _trusted(pooled), _factor(options)
     fit = fit_spectra(pooled.power, averages, expected, factor=factor)
     mixtures = mixed_power(expected, model.row_radius_px, options.varied_px)
-    varied = float((fit_spectra(pooled.power, averages, mixtures, factor=factor).log_likelihood).max())
+    varied = float(fit_spectra(pooled.power, averages, mixtures, factor=factor).log_likelihood.max())
     pixels = sum(w.weight for w in windows) * size * size * 0.25  # half overlap both ways: each pixel counts fourfold
-    soft = soft_mask(mask, margin_px=min(margin, _SOFT_MARGIN_PX), ramp_px=12.0)
     return Observation(
         windows,
         pooled,

@@ -11,7 +11,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy import linalg, ndimage
+from scipy import linalg
 
 from calibration.image import LinearImage
 
@@ -21,11 +21,12 @@ Plane = NDArray[np.float32]
 _FINE_PX, _COARSE_PX = 1.5, 8.0
 """Texture: what lies between these two Gaussian blurs. Noise: what second differences leave."""
 _LUMINANCE = np.array([0.25, 0.5, 0.25])
-_ENOUGH_PIXELS = 400
+_ENOUGH_PIXELS, _MANY_PIXELS = 400, 60_000
+"""With fewer pixels there is no telling; of more than so many only some are taken."""
 
 
-def informative_plane(image: LinearImage, mask: Mask, least_gain: float) -> tuple[Plane, NDArray[np.float64]]:
-    """Luminance, or the mixture of channels that shows a region's texture better.
+def informative_mixture(image: LinearImage, mask: Mask, least_gain: float) -> NDArray[np.float64] | None:
+    """Mixture of the channels that shows a region's texture better than the luminance does.
 
     Parameters
     ----------
@@ -38,34 +39,40 @@ def informative_plane(image: LinearImage, mask: Mask, least_gain: float) -> tupl
 
     Returns
     -------
-    float32 (H, W), float64 (3,)
-        The plane, and its weights of R, G and B; their absolute values sum to 1. Luminance alone of a grey image.
+    float64 (3,) or None
+        Weights of R, G and B, whose absolute values sum to 1. None where the luminance is as good, of a grey image, and
+        of a region too small to tell.
     """
     if image.planes.shape[2] != 3:
-        return image.luminance, np.ones(1)
+        return None
     rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
     if not rows.size:
-        return image.luminance, _LUMINANCE
+        return None
     box = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
-    inner = ndimage.binary_erosion(mask[box], iterations=int(_COARSE_PX), border_value=1)
-    if inner.sum() < _ENOUGH_PIXELS:
-        return image.luminance, _LUMINANCE
+    reach = 2 * int(_COARSE_PX) + 1
+    whole = cv2.erode(
+        np.ascontiguousarray(mask[box]).astype(np.uint8), np.ones((reach, reach), np.uint8),
+        borderType=cv2.BORDER_CONSTANT, borderValue=1,
+    )  # fmt: skip
     part = np.ascontiguousarray(image.planes[box])
+    thin = max(1, int(np.sqrt(whole.size / _MANY_PIXELS)))
+    inner = whole[::thin, ::thin] > 0
+    if inner.sum() < _ENOUGH_PIXELS:
+        return None
     band = cv2.GaussianBlur(part, (0, 0), _FINE_PX) - cv2.GaussianBlur(part, (0, 0), _COARSE_PX)
-    texture = _covariance(np.asarray(band, np.float32), inner)
+    texture = _covariance(np.asarray(band[::thin, ::thin], np.float32), inner)
     second = np.array([[1.0, -2.0, 1.0], [-2.0, 4.0, -2.0], [1.0, -2.0, 1.0]], np.float32) / 6.0
-    noise = _covariance(np.asarray(cv2.filter2D(part, -1, second), np.float32), inner)
+    noise = _covariance(np.asarray(cv2.filter2D(part, -1, second)[::thin, ::thin], np.float32), inner)
     noise += 1e-3 * np.trace(noise) / 3.0 * np.eye(3) + 1e-16 * np.eye(3)
     ratios, vectors = linalg.eigh(texture, noise)
     plain = (_LUMINANCE @ texture @ _LUMINANCE) / (_LUMINANCE @ noise @ _LUMINANCE)
     if ratios[-1] < least_gain * plain:
-        return image.luminance, _LUMINANCE
+        return None
     weights = vectors[:, -1] / np.abs(vectors[:, -1]).sum()
-    weights *= np.sign(weights[np.abs(weights).argmax()])
-    return np.asarray(image.planes @ weights.astype(np.float32)), weights
+    return np.asarray(weights * np.sign(weights[np.abs(weights).argmax()]))
 
 
 def _covariance(planes: Plane, inner: Mask) -> NDArray[np.float64]:
-    values = planes[inner].astype(np.float64)
+    values = planes[inner]
     values -= values.mean(axis=0)
-    return np.asarray(values.T @ values / len(values))
+    return np.asarray(values.T @ values, np.float64) / len(values)

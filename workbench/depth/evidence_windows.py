@@ -58,19 +58,17 @@ def hann(size: int) -> FloatArray:
     return np.asarray(np.sin(np.pi * (np.arange(size) + 0.5) / size) ** 2, np.float64)
 
 
-def place_windows(mask: Mask, size: int, *, margin_px: float, ramp_px: float, least_weight: float) -> list[Window]:
+def place_windows(mask: Mask, soft: NDArray[np.float32], size: int, *, least_weight: float) -> list[Window]:
     """Cover a region with half-overlapping windows.
 
     Parameters
     ----------
     mask
         bool (H, W): usable pixels of the region.
+    soft
+        float32 (H, W): the same with a soft edge (:func:`soft_mask`), which the tapers are cut by.
     size
         Side N of a window.
-    margin_px
-        Width of the strip along the region's edge that is kept out (the frame's border is no such edge).
-    ramp_px
-        Over this distance the taper rises where the outline cuts a window.
     least_weight
         Windows with less of a full Hann taper's energy are left out.
 
@@ -87,14 +85,6 @@ def place_windows(mask: Mask, size: int, *, margin_px: float, ramp_px: float, le
         for y in _starts(int(rows[0]), int(rows[-1]) + 1, size, mask.shape[0])
         for x in _starts(int(columns[0]), int(columns[-1]) + 1, size, mask.shape[1])
     ]
-    return cut_windows(mask, size, corners, margin_px=margin_px, ramp_px=ramp_px, least_weight=least_weight)
-
-
-def cut_windows(
-    mask: Mask, size: int, corners: list[tuple[int, int]], *, margin_px: float, ramp_px: float, least_weight: float
-) -> list[Window]:
-    """Windows at given corners (row, column), cut by a region's outline; see :func:`place_windows`."""
-    soft = soft_mask(mask, margin_px=margin_px, ramp_px=ramp_px)
     full = np.outer(hann(size), hann(size)).astype(np.float32)
     energy = float((full**2).sum())
     windows = []
@@ -112,9 +102,12 @@ def cut_windows(
 
 
 def soft_mask(mask: Mask, *, margin_px: float, ramp_px: float) -> NDArray[np.float32]:
-    """0 up to ``margin_px`` from a region's edge, then a smooth step to 1; float32 (H, W)."""
-    share = np.clip((edge_distance(mask) - margin_px) / max(ramp_px, 1e-6), 0.0, 1.0)
-    return np.where(mask, share * share * (3.0 - 2.0 * share), 0.0).astype(np.float32)
+    """0 up to ``margin_px`` from a region's edge (the frame's border is none), then a smooth step to 1 in ``ramp_px``.
+
+    float32 (H, W).
+    """
+    share = np.clip((edge_distance(mask) - np.float32(margin_px)) / np.float32(max(ramp_px, 1e-6)), 0.0, 1.0)
+    return np.asarray(np.where(mask, share * share * (3.0 - 2.0 * share), 0.0), np.float32)
 
 
 def _holes(cut: NDArray[np.float32]) -> bool:
@@ -165,11 +158,15 @@ def pooled_periodogram(plane: NDArray[np.float32], windows: list[Window], lags: 
     correlation = np.zeros((2 * size, size + 1))
     ramp = (np.arange(size) - (size - 1) / 2.0) / size
     full: tuple[float, FloatArray] | None = None
+    full_fit: tuple[FloatArray, FloatArray] | None = None
     for window in windows:
         taper = window.taper.astype(np.float64)
+        fit = full_fit if full_fit is not None and window.weight == 1.0 else _plane_fit(taper, ramp)
+        if window.weight == 1.0:
+            full_fit = fit
         context = cut_out(plane, window.row - 1, window.column - 1, size + 1, size + 1)
         for step in (context[1:, 1:] - context[:-1, 1:], context[1:, 1:] - context[1:, :-1]):
-            total += np.abs(fft.rfft2(_flattened(step, taper, ramp) * taper)) ** 2
+            total += np.abs(fft.rfft2(_flattened(step, fit) * taper)) ** 2
         e = float((taper**2).sum())
         energy += e
         if window.weight == 1.0 and full is not None:
@@ -204,10 +201,16 @@ def _worth(windows: list[Window]) -> float:
     return float(weight.sum() ** 2 / share.sum())
 
 
-def _flattened(patch: FloatArray, taper: FloatArray, ramp: FloatArray) -> FloatArray:
+def _plane_fit(taper: FloatArray, ramp: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """A plane's three terms, float64 (3, N * N), and what gives their coefficients under a taper, of the same shape."""
+    size = taper.shape[0]
+    rows, columns = np.broadcast_to(ramp[:, np.newaxis], (size, size)), np.broadcast_to(ramp, (size, size))
+    terms = np.stack([np.ones(size * size), rows.ravel(), columns.ravel()])
+    weighted = terms * taper.ravel()
+    return terms, np.linalg.inv(weighted @ terms.T + 1e-9 * np.eye(3)) @ weighted
+
+
+def _flattened(patch: FloatArray, fit: tuple[FloatArray, FloatArray]) -> FloatArray:
     """Subtract the plane that fits best under the taper: shading is no texture."""
-    rows, columns = np.broadcast_to(ramp[:, np.newaxis], patch.shape), np.broadcast_to(ramp, patch.shape)
-    design = np.stack([np.ones(patch.size), rows.ravel(), columns.ravel()], axis=1)
-    weighted = design * taper.ravel()[:, np.newaxis]
-    fitted = np.linalg.solve(weighted.T @ design + 1e-9 * np.eye(3), weighted.T @ patch.ravel())
-    return np.asarray(patch - (design @ fitted).reshape(patch.shape), np.float64)
+    terms, inverse = fit
+    return np.asarray(patch - ((inverse @ patch.ravel()) @ terms).reshape(patch.shape), np.float64)
