@@ -119,16 +119,17 @@ def _filters(psf: NDArray[np.float32], size: int, coefficients: FloatArray, log_
     shape = modulus.shape
     level = basis(np.maximum(modulus, 1.0 / size).ravel(), direction.ravel()) @ coefficients
     # texture over noise; clipped so that extrapolation to the lowest frequencies stays finite
-    ratio = np.exp(np.clip(level.reshape(shape) - log_noise, -30.0, 30.0))
-    transfer = _transfer(psf, size)
+    ratio = np.exp(np.clip(level.reshape(shape) - log_noise, -30.0, 30.0)).astype(np.float32)
+    transfer = _transfer(psf, size).astype(np.complex64)
     gain = np.abs(transfer) ** 2 * ratio
     snr = gain / (gain + 1.0)
     phase = np.conj(transfer) / np.maximum(np.abs(transfer), 1e-9)
     wiener = np.conj(transfer) * ratio / (gain + 1.0)
     white = phase * snr / np.sqrt(gain + 1.0)
     softer = phase * np.sqrt(snr) / np.sqrt(gain + 1.0)
-    safe = np.maximum(modulus, 1.0 / size)
-    derivatives = [1j * fx + 0 * fy, 1j * fy + 0 * fx, 1j * (fx + fy), 1j * (fx - fy)]
+    safe = np.maximum(modulus, 1.0 / size).astype(np.float32)
+    slopes = (fx + 0 * fy, fy + 0 * fx, fx + fy, fx - fy)
+    derivatives = [(1j * slope).astype(np.complex64) for slope in slopes]
     families = [
         [wiener * d / np.sqrt(safe) for d in derivatives],
         [white * d / safe for d in derivatives],
@@ -136,7 +137,8 @@ def _filters(psf: NDArray[np.float32], size: int, coefficients: FloatArray, log_
     ]
     for centre in _BANDS:
         band = np.exp(-(np.log(safe / centre) ** 2) / 0.572)
-        families.append([softer * band * 1j * np.cos(direction - turn * np.pi / 4) ** 3 for turn in range(4)])
+        lobes = (np.cos(direction - turn * np.pi / 4).astype(np.float32) ** 3 for turn in range(4))
+        families.append([softer * band * np.complex64(1j) * lobe for lobe in lobes])
     return [[np.asarray(f, np.complex64) for f in family] for family in families]
 
 

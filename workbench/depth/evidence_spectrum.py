@@ -183,7 +183,9 @@ def _tables(averages: float, spread: float, wide_share: float, wide_spread: floa
     density /= density.sum(axis=0, keepdims=True)
     information = [(density * a * b).sum(axis=0) for a, b in
                    ((by_signal, by_signal), (by_signal, by_noise), (by_noise, by_noise))]  # fmt: skip
-    return tuple(np.ascontiguousarray(t, np.float32) for t in (table, by_signal, by_noise, *information))
+    tables = (table, by_signal, by_noise, *information)
+    # subnormal numbers would cost a hundred times as much as zero, and say no more
+    return tuple(np.ascontiguousarray(np.where(np.abs(t) < 1e-20, 0.0, t), np.float32) for t in tables)
 
 
 def _normal(distance: FloatArray, spread: float) -> FloatArray:
@@ -242,7 +244,7 @@ def fit_spectra(
     precision, pull = _prior(terms.shape[1])
     # the lowest tenth is noise, or less than texture: single periodograms scatter far below their mean
     noise = float(np.log(max(float(np.percentile(power[used], 10)), 1e-16) / (0.3 if worth < 4 else 1.0)))
-    arguments = (np.ascontiguousarray(terms, np.float32), precision, pull)
+    arguments = (np.ascontiguousarray(terms.T, np.float32), precision, pull)
     if start is None:
         first = np.zeros(terms.shape[1])
         low = modulus[used] < np.exp(_KNOTS[1]) * 1.4
@@ -269,7 +271,7 @@ def _noise_alone(log_power: Float32, table: Float32, correlation: float) -> floa
 def _scan(
     log_power: Float32,
     log_expected: Float32,
-    design: Float32,
+    columns: Float32,
     precision: FloatArray,
     pull: FloatArray,
     start: FloatArray,
@@ -284,25 +286,28 @@ def _scan(
     info_sn: Float32,
     info_nn: Float32,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
+    # Loops over frequencies are innermost and plain, one array at a time: so they become vector instructions.
     blurs, count = log_expected.shape
-    p = design.shape[1]
+    p = columns.shape[0]
     cells = table.shape[0]
     likelihood, coefficients, noises = np.zeros(blurs), np.zeros((blurs, p)), np.zeros(blurs)
     theta, log_noise = start.copy(), start_noise
     gradient, hessian = np.zeros(p + 1), np.zeros((p + 1, p + 1))
-    row = np.zeros(p)
+    signal, slope, slope_noise = np.zeros(count, np.float32), np.zeros(count, np.float32), np.zeros(count, np.float32)
+    ss, sn, nn = np.zeros(count, np.float32), np.zeros(count, np.float32), np.zeros(count, np.float32)
+    weighted = np.zeros(count, np.float32)
     for d in range(blurs):
         for step in range(steps + 1):
-            gradient[:] = 0.0
-            hessian[:] = 0.0
+            signal[:] = log_expected[d]
+            for j in range(p):
+                factor = np.float32(theta[j])
+                column = columns[j]
+                for f in range(count):
+                    signal[f] += factor * column[f]
             total = 0.0
             for f in range(count):
-                signal = log_expected[d, f] - log_noise
-                for j in range(p):
-                    row[j] = design[f, j]
-                    signal += row[j] * theta[j]
                 y = min(max((log_power[f] - log_noise - _LOW) / _STEP, 0.0), cells - 1.001)
-                x = min(max((signal - _LOW) / _STEP, 0.0), cells - 1.001)
+                x = min(max((signal[f] - log_noise - _LOW) / _STEP, 0.0), cells - 1.001)
                 y0, x0 = int(y), int(x)
                 y -= y0
                 x -= x0
@@ -312,22 +317,26 @@ def _scan(
                     + w10 * table[y0 + 1, x0] + w11 * table[y0 + 1, x0 + 1]
                 )  # fmt: skip
                 if step < steps:
-                    slope = (
+                    slope[f] = (
                         w00 * by_signal[y0, x0] + w01 * by_signal[y0, x0 + 1]
                         + w10 * by_signal[y0 + 1, x0] + w11 * by_signal[y0 + 1, x0 + 1]
                     )  # fmt: skip
-                    slope_noise = (
+                    slope_noise[f] = (
                         w00 * by_noise[y0, x0] + w01 * by_noise[y0, x0 + 1]
                         + w10 * by_noise[y0 + 1, x0] + w11 * by_noise[y0 + 1, x0 + 1]
                     )  # fmt: skip
-                    ss, sn = info_ss[x0], info_sn[x0]
-                    for j in range(p):
-                        gradient[j] += slope * row[j]
-                        for k in range(j + 1):
-                            hessian[j, k] += ss * row[j] * row[k]
-                        hessian[p, j] += sn * row[j]
-                    gradient[p] += slope_noise
-                    hessian[p, p] += info_nn[x0]
+                    ss[f], sn[f], nn[f] = info_ss[x0], info_sn[x0], info_nn[x0]
+            if step < steps:
+                for j in range(p):
+                    column = columns[j]
+                    gradient[j] = _dot(slope, column)
+                    hessian[p, j] = _dot(sn, column)
+                    for f in range(count):
+                        weighted[f] = ss[f] * column[f]
+                    for k in range(j + 1):
+                        hessian[j, k] = _dot(weighted, columns[k])
+                gradient[p] = slope_noise.sum()
+                hessian[p, p] = nn.sum()
             total *= correlation
             gradient *= correlation
             hessian *= correlation
@@ -354,6 +363,14 @@ def _scan(
         likelihood[d], noises[d] = total, log_noise
         coefficients[d] = theta
     return likelihood, coefficients, noises
+
+
+@compiled
+def _dot(first: Float32, second: Float32) -> float:
+    total = np.float32(0.0)
+    for f in range(first.shape[0]):
+        total += first[f] * second[f]
+    return float(total)
 
 
 @compiled
