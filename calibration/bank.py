@@ -54,6 +54,7 @@ class Bank:
     extras
         Further arrays by name, stored and hashed with the rest: ``chief_yx`` (F, D, 2), the chief ray's position
         relative to the centre pixel; ``middle_yx`` (F, D, 2), the centre pixel's place in the frame;
+        ``place_yx`` (F, D, 2), where each depth's point was, like ``field_yx``, its mean (F > 1 only);
         ``field_radius_px`` (F, D), signed radii per set; ``aperture`` (N, N), the
         aperture's picture, +-1.25 radii wide, oriented as the PSF beyond focus; models fitted later.
     """

@@ -317,6 +317,10 @@ def _assemble(
     middle = (frame_shape - 1) / 2.0
     field_yx = np.array([(f.chief_yx.mean(axis=0) - middle) / (frame_shape / 2.0) for f in fields])
     central = int(np.argmin(np.hypot(*field_yx.T)))
+    # a grid's images move with depth where the panel is too small for the frame
+    places = (
+        {"place_yx": np.array([(f.chief_yx - middle) / (frame_shape / 2.0) for f in fields])} if len(fields) > 1 else {}
+    )
     lens = fields[central].lens
     zero = lens.zero_mm if lens.zero_applied else 0.0
     quality = judge(
@@ -383,6 +387,7 @@ def _assemble(
             "middle_yx": np.array(centres, np.float64),
             "field_radius_px": np.array([f.lens.radius_px for f in fields]),
             "aperture": fields[central].fit.template.astype(np.float32),
+            **places,
         },
     )
     return BuiltBank(bank, quality, tuple(rejected))

@@ -101,6 +101,7 @@ def calibrate_session(
             name: f"{identity['kind']} {identity['model']}".strip() for name, identity in state.identities.items()
         },
         plan_sha256=plan.hash,
+        expected_points=max(len(plan.dots[0].points_px), 1),
     )
     return _finish(project, build_bank(frames, (), options))
 

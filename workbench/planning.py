@@ -7,6 +7,8 @@ from dataclasses import dataclass
 
 from calibration.exif import KNOWN_CAMERAS
 from workbench.config import RigConfig
+from workbench.errors import InputError
+from workbench.field_grid import grid_at
 from workbench.plan import PatternSpec, Plan, depth_grid_mm
 
 BYTES_PER_PHOTOSITE = 1.2
@@ -15,6 +17,8 @@ BYTES_PER_PHOTOSITE_UNCOMPRESSED = 2.0
 PHOTOSITES_OF_UNKNOWN = 24e6
 """Of a camera that isn't known before it is asked."""
 METER_SHOTS_PER_DEPTH = 2.5
+MOST_POINTS = 49
+"""Of a grid: more wouldn't keep apart where they are most blurred."""
 SECONDS_PER_SHOT = {"simulated": 0.25, "gphoto2": 3.0}
 """Readout, download and check of one frame, without its exposure; only for the estimate."""
 SECONDS_PER_MOVE = {"simulated": 0.0, "manual": 30.0, "grbl": 3.0, "zaber": 3.0}
@@ -46,13 +50,14 @@ def make_plan(
     to_mm: float | None = None,
     step_mm: float | None = None,
     repeats: int | None = None,
+    field: tuple[int, int] | None = None,
 ) -> Plan:
     """Plan of a calibration; what isn't given comes from rig.yaml.
 
     Raises
     ------
     InputError
-        The depths can't be (see :func:`workbench.plan.depth_grid_mm`).
+        The depths can't be (see :func:`workbench.plan.depth_grid_mm`), or there is no grid to be had.
     """
     wishes = config.calibration
     depths = depth_grid_mm(
@@ -60,16 +65,23 @@ def make_plan(
         wishes.to_mm if to_mm is None else to_mm,
         wishes.step_mm if step_mm is None else step_mm,
     )
+    across, down = wishes.field if field is None else field
+    if min(across, down) < 1 or across * down > MOST_POINTS:
+        raise InputError(f"field {across}x{down}: give points across x down, at least 1x1 and {MOST_POINTS} in all")
     return Plan(
         depths_mm=depths,
         repeats=wishes.repeats if repeats is None else repeats,
         off_frames=wishes.off_frames,
-        dots=tuple(_dot(config, depth) for depth in depths),
+        dots=tuple(_dot(config, depth, across, down) for depth in depths),
         iso=config.camera.iso,
     )
 
 
-def _dot(config: RigConfig, depth_mm: float) -> PatternSpec:
+def _dot(config: RigConfig, depth_mm: float, across: int, down: int) -> PatternSpec:
+    if across * down > 1:
+        points = grid_at(config, across, down, depth_mm).points_px
+        size, colour = dot_size_px(config, depth_mm), config.panel.dot.colour
+        return PatternSpec(kind="grid", size_px=size, colour=colour, points_px=points)
     return PatternSpec(kind="dot", size_px=dot_size_px(config, depth_mm), colour=config.panel.dot.colour)
 
 

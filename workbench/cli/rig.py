@@ -10,6 +10,7 @@ import click
 from rigs.errors import LimitError
 from workbench.cli.common import LENGTH, Context, command_options
 from workbench.errors import InputError
+from workbench.field_grid import reach_text
 from workbench.planning import cost, make_plan
 from workbench.project import Project, create_project
 from workbench.units import bytes_text, cm, seconds_text
@@ -32,14 +33,37 @@ def init(context: Context, target: Path, preset: str, seed: int) -> None:
     context.emit({"project": str(project.root), "rig": str(project.rig_file)})
 
 
+class FieldType(click.ParamType[tuple[int, int]]):
+    """Points across and down, as ``3x3``."""
+
+    name = "NxM"
+
+    def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> tuple[int, int]:
+        """Parse the text."""
+        across, cross, down = str(value).lower().partition("x")
+        if not (cross and across.isdigit() and down.isdigit()):
+            self.fail(f"{value}: give points across x down, e.g. 3x3", param, ctx)
+        return int(across), int(down)
+
+
+FIELD = FieldType()
+
+
 def plan_options(function: click.decorators.FC) -> click.decorators.FC:
-    """--from, --to, --step and --repeats, shared by plan and calibrate."""
+    """--from, --to, --step, --repeats and --field, shared by plan and calibrate."""
     for option in reversed(
         (
             click.option("--from", "from_mm", type=LENGTH, default=None, help="Nearest depth, e.g. 60cm."),
             click.option("--to", "to_mm", type=LENGTH, default=None, help="Farthest depth, e.g. 350cm."),
             click.option("--step", "step_mm", type=LENGTH, default=None, help="Step between depths, e.g. 10cm."),
             click.option("--repeats", type=click.IntRange(1, 100), default=None, help="Point frames per depth."),
+            click.option(
+                "--field",
+                type=FIELD,
+                default=None,
+                metavar="NxM",
+                help="Points across and down the panel, e.g. 3x3, for PSFs over the field.",
+            ),
         )
     ):
         function = option(function)
@@ -50,17 +74,24 @@ def plan_options(function: click.decorators.FC) -> click.decorators.FC:
 @plan_options
 @command_options
 def plan(
-    context: Context, from_mm: float | None, to_mm: float | None, step_mm: float | None, repeats: int | None
-) -> None:
+    context: Context, from_mm: float | None, to_mm: float | None, step_mm: float | None, repeats: int | None,
+    field: tuple[int, int] | None,
+) -> None:  # fmt: skip
     """Show the shots that calibrate would take; touches nothing."""
     config = context.project().config()
-    made = make_plan(config, from_mm=from_mm, to_mm=to_mm, step_mm=step_mm, repeats=repeats)
+    made = make_plan(config, from_mm=from_mm, to_mm=to_mm, step_mm=step_mm, repeats=repeats, field=field)
     estimate = cost(made, config)
     rows = [
         (cm(depth, 0), f"{dot.size_px:g} px", f"{made.repeats}", f"{made.off_frames}")
         for depth, dot in zip(made.depths_mm, made.dots, strict=True)
     ]
     context.table(("depth", "dot", "point frames", "panel-off frames"), rows)
+    if made.dots[0].points_px:
+        near, far = (reach_text(config, made.dots[i].points_px, made.depths_mm[i]) for i in (0, -1))
+        context.say(
+            f"{len(made.dots[0].points_px)} points per frame, reaching {near} of the half frame at the nearest depth "
+            f"and {far} at the farthest: as far as the panel allows."
+        )
     context.say(
         f"{len(made.depths_mm)} depths, {estimate.shots} shots and their metering: "
         f"about {seconds_text(estimate.seconds)}, {bytes_text(estimate.bytes)}. Nothing was touched."
@@ -83,17 +114,19 @@ def plan(
 @command_options
 def calibrate(
     context: Context, from_mm: float | None, to_mm: float | None, step_mm: float | None, repeats: int | None,
-    frames: Path | None, apply_zero: bool,
+    field: tuple[int, int] | None, frames: Path | None, apply_zero: bool,
 ) -> None:  # fmt: skip
     """Drive the rig through the plan and make a bank; or make it from files (--frames)."""
     project = context.project()
     config = project.config()
-    wishes = {"from_mm": from_mm, "to_mm": to_mm, "step_mm": step_mm, "repeats": repeats}
+    wishes = {"from_mm": from_mm, "to_mm": to_mm, "step_mm": step_mm, "repeats": repeats, "field": field}
     if frames is not None:
         from workbench.calibrate import calibrate_frames
 
         if any(value is not None for value in wishes.values()):
-            raise InputError("--frames: the depths come from the files; leave out --from, --to, --step and --repeats")
+            raise InputError(
+                "--frames: the depths come from the files; leave out --from, --to, --step, --repeats and --field"
+            )
         result = calibrate_frames(
             project, context.existing(frames, "directory of frames"), config, apply_zero=apply_zero
         )
@@ -101,7 +134,8 @@ def calibrate(
         return
     if apply_zero:
         raise InputError("--apply-zero: only with --frames; a session of the rig always applies the fitted zero")
-    run_session(context, project, make_plan(config, from_mm=from_mm, to_mm=to_mm, step_mm=step_mm, repeats=repeats))
+    made = make_plan(config, from_mm=from_mm, to_mm=to_mm, step_mm=step_mm, repeats=repeats, field=field)
+    run_session(context, project, made)
 
 
 @click.command()

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.bank import Bank
+from calibration.field import bank_at, region_place
 from calibration.image import LinearImage
 from workbench.depth.estimate import DepthEstimate
 from workbench.depth.richardson_lucy import Deconvolver
@@ -50,7 +51,8 @@ def all_focus(
     image
         Linear, any number of channels.
     bank
-        Its central PSFs are used, for each region the one that is nearest in inverse depth.
+        For each region its PSF that is nearest in inverse depth is used; of a bank over the field, that of the
+        region's place.
     labels
         int32 (H, W), 0 = no region.
     estimates
@@ -76,15 +78,20 @@ def all_focus(
     planes_used = _nearest_plane(depth_map(labels, estimates), bank.depths_mm)
     blended = np.zeros_like(image.planes)
     weights = np.zeros(image.shape, np.float32)
-    for index in np.unique(planes_used):
-        mask = (planes_used == index).astype(np.float32)
+    depths = len(bank.depths_mm)
+    by_place = len(bank.field_yx) > 1
+    groups = labels * depths + planes_used if by_place else planes_used
+    for group in np.unique(groups):
+        index = group % depths
+        mask = (groups == group).astype(np.float32)
+        psfs = bank_at(bank, region_place(mask > 0)).central if by_place else bank.central
         weight = cv2.GaussianBlur(mask, (0, 0), feather_px) if feather_px > 0 else mask
         reach = int(np.ceil(_REACH_SIGMAS * feather_px))
         box = _box(mask, reach)
         local = weight[box]
         observed = (mask[box] > 0) & ~image.saturated[box]
         deconvolver = Deconvolver((local.shape[0], local.shape[1]), bank.psf.shape[-1], mask=observed, workers=workers)
-        kernel = deconvolver.kernel(bank.central[index])
+        kernel = deconvolver.kernel(psfs[index])
         trust = np.minimum(deconvolver.observed_fraction(kernel) / np.float32(_TRUSTED), np.float32(1))
         for channel in range(image.planes.shape[2]):
             plane = image.planes[*box, channel]

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from calibration.bank import Bank
 from calibration.errors import CalibrationError
+from calibration.field import bank_at, region_place
 from calibration.image import LinearImage
 from workbench.depth.estimate import DepthEstimate
 from workbench.depth.evidence import EvidenceOptions, estimate_evidence
@@ -139,7 +140,7 @@ def estimate_depths(
     image
         Developed by the bank's recipe.
     bank
-        PSFs.
+        PSFs; of one over the field, each region is measured by those of its centroid's place.
     labels
         int32 (H, W), 0 = no region.
     method, settings
@@ -151,7 +152,14 @@ def estimate_depths(
         See :func:`make_options`.
     """
     found, options = make_options(method, settings)
-    return found.estimate(image, bank, labels, options)
+    if len(bank.field_yx) == 1:
+        return found.estimate(image, bank, labels, options)
+    estimates: dict[int, DepthEstimate] = {}
+    for label in np.unique(labels[labels > 0]):
+        mask = labels == label
+        here = bank_at(bank, region_place(mask))
+        estimates |= found.estimate(image, here, np.where(mask, labels, 0).astype(np.int32), options)
+    return estimates
 
 
 def option_values(method: str, settings: Mapping[str, Any]) -> dict[str, Any]:
