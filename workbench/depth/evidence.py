@@ -49,7 +49,7 @@ Mask = NDArray[np.bool_]
 
 _RAMP_PX = 12.0
 _SHAPELESS_PX = 1.5
-_REFINED_STEPS, _REFINED_FINER, _REFINED_FISHER_STEPS = 2, 4, 6
+_REFINED_STEPS, _REFINED_FINER, _REFINED_FISHER_STEPS = 2, 3, 5
 _REFINED_WITHIN, _NARROW = 30.0, 5.0
 _ENOUGH = 0.7
 """Full windows' worth of region below which smaller windows are tried."""

@@ -166,16 +166,17 @@ def pooled_periodogram(plane: NDArray[np.float32], windows: list[Window], lags: 
             full_fit = fit
         context = cut_out(plane, window.row - 1, window.column - 1, size + 1, size + 1)
         for step in (context[1:, 1:] - context[:-1, 1:], context[1:, 1:] - context[1:, :-1]):
-            total += np.abs(fft.rfft2(_flattened(step, fit) * taper)) ** 2
+            spectrum = fft.rfft2((_flattened(step, fit) * taper).astype(np.float32))
+            total += spectrum.real**2 + spectrum.imag**2
         e = float((taper**2).sum())
         energy += e
         if window.weight == 1.0 and full is not None:
             correlation += full[1]
         else:
-            spectrum = np.abs(fft.rfft2(taper, s=(2 * size, 2 * size))) ** 2
-            correlation += spectrum
+            own = np.abs(fft.rfft2(taper, s=(2 * size, 2 * size))) ** 2
+            correlation += own
             if window.weight == 1.0:
-                full = e, spectrum
+                full = e, own
     lag = fft.irfft2(correlation, s=(2 * size, 2 * size)) / energy
     reach = min(lags, size - 1)
     wanted = np.arange(-lags, lags + 1)
