@@ -21,7 +21,7 @@ COMMANDS = {
     "capture": "workbench.cli.measure:capture",
     "bank": "workbench.cli.banks:bank",
     "demo": "workbench.cli.demo:demo",
-    "bench": "workbench.cli.bench:bench",
+    "bench": "workbench.cli.bench_field:bench",
 }
 
 
