@@ -11,6 +11,7 @@ import math
 from dataclasses import dataclass
 
 from calibration.exif import KNOWN_CAMERAS
+from rigs.simulated.world import PRESET_SHAPES
 from workbench.config import RigConfig
 from workbench.errors import InputError
 
@@ -69,7 +70,7 @@ def frame_mm(config: RigConfig) -> tuple[float, float]:
         Neither a simulated camera nor a known model.
     """
     if config.camera.kind == "simulated":
-        width, height = (1536, 1024) if config.simulation.preset == "small" else (5184, 3456)
+        height, width = PRESET_SHAPES[config.simulation.preset]
         pitch = config.camera.pixel_pitch_mm or 0.0043
         return width * pitch, height * pitch
     wanted = config.camera.model.casefold()

@@ -11,7 +11,7 @@ from workbench.banks import open_bank
 from workbench.bench.bench_banks import rig_settings
 from workbench.bench.cases import TEXTURES, Case
 from workbench.bench.field import compare_over_field
-from workbench.bench.scoring import summarise
+from workbench.bench.scoring import Figures, summarise
 from workbench.bench.tables import figures_table
 from workbench.cli.bench import bench
 from workbench.cli.common import Context, command_options
@@ -42,7 +42,7 @@ def field(context: Context, bank_ref: str, count: int, region: int, method: str,
     ]
     with context.progress("measuring off axis") as observer:
         outcomes = compare_over_field(found, rig, cases, method=method, side_px=region, observer=observer)
-    groups = {
+    groups: dict[tuple[str, ...], Figures] = {
         (name, f"{region} px"): summarise([o for o in outcomes if o.method == name], found.lens.focus_mm)
         for name in dict.fromkeys(o.method for o in outcomes)
     }
@@ -50,4 +50,4 @@ def field(context: Context, bank_ref: str, count: int, region: int, method: str,
         f"Off axis, {method}, coma {rig.coma:g}, vignetting {rig.vignetting:g}", "region", groups
     )  # fmt: skip
     context.table(table.columns, table.rows, title=table.title)
-    context.emit({"bank": found.id, "figures": {name: asdict(figures) for (name, _), figures in groups.items()}})
+    context.emit({"bank": found.id, "figures": {key[0]: asdict(figures) for key, figures in groups.items()}})
