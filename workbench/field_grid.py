@@ -19,6 +19,10 @@ REACH = 0.6
 """Part of the half frame that the outermost images are meant to lie at: the most blurred ones must fit in beyond it."""
 MARGIN = 0.03
 """Part of the half panel kept free at its edges, for a panel that isn't quite centred."""
+CENTRING = 0.08
+"""Part of the half frame by which the panel's middle may be off the axis."""
+SPREAD = 1.15
+"""Room for a blur, relative to its radius by the thin lens."""
 PANEL_PX = (1920, 1200)
 """Device pixels of the panel assumed: those of the simulated one; a larger panel is used as far as this."""
 
@@ -45,7 +49,7 @@ def grid_at(config: RigConfig, across: int, down: int, depth_mm: float) -> GridA
     Raises
     ------
     InputError
-        The size of the camera's frame isn't known.
+        The size of the camera's frame isn't known, or the blur leaves no room in it.
     """
     width_mm, height_mm = frame_mm(config)
     focal = config.optics.focal_length_mm
@@ -56,9 +60,26 @@ def grid_at(config: RigConfig, across: int, down: int, depth_mm: float) -> GridA
     for count, half_mm, panel in ((across, width_mm / 2, PANEL_PX[0]), (down, height_mm / 2, PANEL_PX[1])):
         if count > 1:
             reach = min(reach, (1.0 - MARGIN) * panel / 2 / (half_mm * pixels_per_mm))
+            reach = min(reach, 1.0 - CENTRING - SPREAD * _blur_mm(config, depth_mm) / half_mm)
+    if reach <= 0:
+        raise InputError(
+            f"calibration.field: at {depth_mm / 10:g} cm the blur alone fills the frame; leave out such near depths, "
+            "or set field: [1, 1]"
+        )
     columns = [round(f * reach * width_mm / 2 * pixels_per_mm) for f in _even(across)]
     rows = [round(f * reach * height_mm / 2 * pixels_per_mm) for f in _even(down)]
     return GridAt(tuple((float(x), float(y)) for y in rows for x in columns), reach)
+
+
+def _blur_mm(config: RigConfig, depth_mm: float) -> float:
+    """Largest radius of the blur on the sensor at a depth, for the focus known, or for any within the range planned."""
+    wishes, focal = config.calibration, config.optics.focal_length_mm
+    known = config.optics.focus_mm
+    scale = config.optics.aperture_radius_mm * focal
+    return max(
+        scale / (focus - focal) * abs(1.0 - focus / depth_mm)
+        for focus in ((known,) if known else (wishes.from_mm, wishes.to_mm))
+    )
 
 
 def frame_mm(config: RigConfig) -> tuple[float, float]:
