@@ -14,6 +14,7 @@ from workbench.cli.common import Context, run
 COMMANDS = {
     "init": "workbench.cli.rig:init",
     "doctor": "workbench.cli.doctor:doctor",
+    "align": "workbench.cli.align:align",
     "plan": "workbench.cli.rig:plan",
     "calibrate": "workbench.cli.rig:calibrate",
     "resume": "workbench.cli.rig:resume",

@@ -1,0 +1,153 @@
+"""Centring the point and finding focus: one frame after the other, measured and shown live."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from calibration.errors import CalibrationError, FrameError
+from calibration.exposure import choose_exposure
+from calibration.exposure import meter as meter_image
+from calibration.image import LinearImage
+from rigs.align_feed import AlignFeed, AlignSample, Finding
+from rigs.errors import CaptureError
+from rigs.protocols import Camera, Exposure, Panel, Pattern
+from workbench.alignment import look, only_show, preview_image
+from workbench.metering import FIRST_TIME_S, HIGHEST_ISO
+from workbench.plan import PatternSpec
+
+PATTERNS = ("dot", "cross-hair", "white", "black")
+TRIES = 3
+"""A camera that fails so often in a row is in trouble that waiting won't end."""
+
+
+@dataclass(frozen=True, slots=True)
+class Seen:
+    """One frame: what it says, what is judged of it, and what the panel showed."""
+
+    sample: AlignSample
+    findings: tuple[Finding, ...]
+    pattern: str
+
+
+class Aligner:
+    """Looks again and again; the panel's pattern may be changed from another thread meanwhile.
+
+    Parameters
+    ----------
+    camera, panel
+        Open devices.
+    dot
+        The dot as a calibration would show it.
+    feed
+        Where samples go.
+    read
+        Develops a frame.
+    scratch
+        Directory for the frame at hand; emptied after each.
+    exposure_s, iso
+        Fixed exposure time, or None to have it follow the point; and the ISO.
+    live_view
+        Take the camera's live view instead of frames.
+    """
+
+    def __init__(
+        self,
+        camera: Camera,
+        panel: Panel,
+        dot: PatternSpec,
+        feed: AlignFeed,
+        read: Callable[[Path], LinearImage],
+        scratch: Path,
+        *,
+        exposure_s: float | None,
+        iso: int,
+        live_view: bool,
+    ) -> None:
+        self._camera, self._panel, self._feed, self._read = camera, panel, feed, read
+        self._dot, self._scratch, self._live_view = dot, scratch, live_view
+        self._times, self._isos = camera.exposure_times_s(), camera.isos()
+        wanted = FIRST_TIME_S if exposure_s is None else exposure_s
+        nearest = min(self._times, key=lambda offered: abs(offered - wanted))
+        self._exposure, self._follow, self._base_iso = Exposure(nearest, iso), exposure_s is None, iso
+        self._painting = threading.Lock()
+        self._pattern = ""
+
+    def actions(self) -> dict[str, Callable[[], None]]:
+        """What the page's buttons do: label -> show that pattern."""
+
+        def shower(name: str) -> Callable[[], None]:
+            return lambda: self.show(name)
+
+        return {name.capitalize(): shower(name) for name in PATTERNS}
+
+    def show(self, pattern: str) -> None:
+        """Paint a pattern of :data:`PATTERNS`.
+
+        Raises
+        ------
+        RigError
+            The panel doesn't acknowledge it.
+        """
+        patterns = {
+            "dot": self._dot.pattern(),
+            "cross-hair": Pattern("crosshair"),
+            "white": Pattern("white"),
+            "black": Pattern("black"),
+        }
+        with self._painting:
+            self._panel.show(patterns[pattern])
+            self._pattern = pattern
+
+    def looks(self, frames: int | None) -> Iterator[Seen]:
+        """Take, measure and show so many frames, or frames without end.
+
+        Raises
+        ------
+        RigError
+            The camera is in trouble.
+        """
+        taken = troubles = 0
+        while frames is None or taken < frames:
+            try:
+                sample = self._look()
+                troubles = 0
+            except (CaptureError, FrameError) as error:
+                troubles += 1
+                if troubles == TRIES:
+                    raise
+                sample = AlignSample(1, 1, note=str(error))
+            taken += 1
+            yield Seen(sample, self._feed.push(sample), self._pattern)
+
+    def _look(self) -> AlignSample:
+        if self._live_view:
+            image = preview_image(self._camera.preview())
+            if image is None:
+                raise CaptureError("camera: its live view is no JPEG; leave out --live-view")
+            return look(image, None) if self._pattern == "dot" else only_show(image, self._pattern)
+        path: Path | None = None
+        try:
+            path = self._camera.capture(self._exposure, self._scratch / "align.dng").path
+            image = self._read(path)
+        finally:
+            if path is not None:
+                path.unlink(missing_ok=True)
+        shown, exposure = self._pattern, self._exposure
+        if self._follow and shown != "black":
+            self._adjust(image)
+        return look(image, exposure) if shown == "dot" else only_show(image, shown)
+
+    def _adjust(self, image: LinearImage) -> None:
+        """Expose the next frame so that what the panel shows is bright and nowhere saturated."""
+        isos = [iso for iso in self._isos if self._base_iso <= iso <= HIGHEST_ISO] or [self._base_iso]
+        try:
+            choice = choose_exposure(
+                meter_image(image), time_s=self._exposure.time_s, iso=self._exposure.iso, times_s=self._times, isos=isos
+            )
+        except CalibrationError:
+            return
+        if not choice.done:
+            self._exposure = Exposure(choice.time_s, choice.iso)
