@@ -18,6 +18,8 @@ from calibration.image import FrameInfo, LinearImage
 
 _BOXES = (1, 3, 9, 25)
 _MAD = 1.4826
+_EVEN = 0.35
+"""Light is even where eight neighbours differ by less than this part of the brightest."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,6 +107,10 @@ def find_points(image: LinearImage, *, expected: int = 1, options: PointOptions 
     """
     options = options or PointOptions()
     planes, hot = remove_hot_pixels(image.planes)
+    lone = _lone_saturated(planes, image.saturated & ~hot)
+    if lone.any():
+        planes = np.where(lone[:, :, np.newaxis], _medians(planes), planes)
+        hot = hot | lone
     cleaned = LinearImage(planes, image.saturated & ~hot, image.recipe, image.pixel_pitch_mm, image.info)
     luminance = cleaned.luminance
     flat, noise = _flatten(luminance)
@@ -166,6 +172,27 @@ def remove_hot_pixels(planes: NDArray[np.float32]) -> tuple[NDArray[np.float32],
             cleaned[:, :, c][where] = medians[c][where]
             hot[where] = True
     return cleaned, hot
+
+
+def _lone_saturated(planes: NDArray[np.float32], saturated: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Saturated pixels within the even light of a large point: hot photosites, which long exposures drive to white.
+
+    A point that is truly too bright takes its brightest pixels to white together, or falls off steeply around the one.
+    """
+    kernel = np.ones((3, 3), np.uint8)
+    ring = kernel.copy()
+    ring[1, 1] = 0
+    alone = saturated & (cv2.filter2D(saturated.astype(np.uint8), -1, kernel, borderType=cv2.BORDER_CONSTANT) == 1)
+    if not alone.any():
+        return np.zeros_like(saturated)
+    brightest = np.ascontiguousarray(planes.max(axis=2))
+    high, low = cv2.dilate(brightest, ring), cv2.erode(brightest, ring)
+    return np.asarray(alone & (high < 0.9) & (low > 0.3) & (high - low < _EVEN * high))
+
+
+def _medians(planes: NDArray[np.float32]) -> NDArray[np.float32]:
+    channels = [cv2.medianBlur(np.ascontiguousarray(planes[:, :, c]), 3) for c in range(planes.shape[2])]
+    return np.asarray(np.stack(channels, axis=2), np.float32)
 
 
 def _flatten(luminance: NDArray[np.float32]) -> tuple[NDArray[np.float32], float]:

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import cv2
 import numpy as np
 import pytest
 from drawn_points import as_frame, draw_psf, point_image
@@ -40,6 +41,23 @@ def test_hot_photosites_do_not_make_a_point_doubled_or_shift_it() -> None:
     cleaned, mask = remove_hot_pixels(planes)
     assert mask.sum() > 40
     assert np.abs(cleaned - frame.planes).max() < 0.2
+
+
+def test_one_saturated_photosite_within_even_light_is_hot_and_not_the_point() -> None:
+    light = draw_psf(14.0, (96, 96), (48.0, 48.0), 0.5)
+    light *= 0.65 / light.max()
+    frame = as_frame(light)
+    clean = find_points(frame)[0]
+    around = cv2.erode(light, np.ones((3, 3), np.uint8))
+    row, column = np.unravel_index(int(around.argmax()), around.shape)
+    assert around[row, column] > 0.5
+    planes, saturated = frame.planes.copy(), frame.saturated.copy()
+    planes[row, column, 1], saturated[row, column] = 1.0, True
+    spoilt = type(frame)(planes, saturated, frame.recipe, frame.pixel_pitch_mm, frame.info)
+    assert find_points(spoilt)[0].flux == pytest.approx(clean.flux, rel=1e-3)
+    planes[row, column : column + 2], saturated[row, column : column + 2] = 1.0, True  # side by side: the point's own
+    with pytest.raises(PointError, match="saturated"):
+        find_points(spoilt)
 
 
 def test_a_sloping_background_is_removed_locally() -> None:
