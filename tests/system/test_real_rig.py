@@ -100,7 +100,6 @@ def simulated(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
 
 
 def assert_as_good(bank: dict[str, Any], wanted: dict[str, Any]) -> None:
-    print("\n", bank["lens"], bank["quality"]["figures"], "\n", wanted["lens"], wanted["quality"]["figures"])
     """The same lens and stage are found, within their standard errors, and from as good PSFs."""
     lens, lens_wanted = bank["lens"], wanted["lens"]
     for name in ("focus", "zero"):
