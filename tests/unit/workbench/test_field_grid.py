@@ -5,13 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from rigs.simulated.world import PRESET_SHAPES
 from workbench.config import RigConfig
 from workbench.errors import InputError
 from workbench.field_grid import REACH, frame_mm, grid_at, shape_of
 from workbench.planning import make_plan
 
 
-def test_dots_spread_as_the_panel_goes_away_until_it_ends() -> None:
+def test_dots_spread_as_the_panel_goes_away_until_it_ends(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(PRESET_SHAPES, "small", (1024, 1536))
     config = RigConfig.model_validate({"optics": {"focus": "160cm"}})
     grids = [grid_at(config, 3, 3, z) for z in (600.0, 1500.0, 3500.0)]
     assert [g.reach for g in grids[:2]] == [REACH, REACH]
