@@ -34,6 +34,7 @@ def align(
     from workbench.devices import open_rig
     from workbench.frame_reader import FrameReader
     from workbench.planning import make_plan
+    from workbench.session import StopRequest
 
     project = context.project()
     config = project.config()
@@ -58,10 +59,13 @@ def align(
         server = AlignServer(AlignSettings(config.panel.host, port, config.panel.token), feed, aligner.actions())
         try:
             context.note(f"open {server.urls()[0]} in a browser; Ctrl-C ends")
-            aligner.show(pattern)
-            for seen in aligner.looks(count):
-                context.emit(_as_json(seen))
-                context.say(_line(seen))
+            stop = StopRequest()
+            with stop.heard():
+                aligner.show(pattern)
+                for seen in aligner.looks(count):
+                    context.emit(_as_json(seen))
+                    context.say(_line(seen))
+                    stop.check()
         except KeyboardInterrupt:
             context.note("ended")
         finally:
