@@ -20,6 +20,7 @@ import os
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -36,6 +37,8 @@ from calibration.linear_files import is_linear_file, read_linear
 SATURATION_FRACTION = 0.99
 """A photosite at or above this fraction of white counts as saturated (sensors clip a little below the stated white)."""
 
+_HOT_IN_DARK = 0.1
+"""A photosite that collects this fraction of white in the dark is hot."""
 _CHANNELS = {"R": 0, "G": 1, "B": 2}
 
 
@@ -109,6 +112,11 @@ def subtract_dark(image: LinearImage, dark: LinearImage) -> LinearImage:
         )
     if dark.planes.shape == image.planes.shape:
         planes, how = image.planes - dark.planes, "pixelwise"
+        hot = image.saturated & (dark.planes.max(axis=2) > _HOT_IN_DARK)
+        if hot.any():  # at white by its own charge: neither its value nor its saturation is the light's
+            channels = [cv2.medianBlur(np.ascontiguousarray(planes[:, :, c]), 3) for c in range(planes.shape[2])]
+            planes = np.where(hot[:, :, np.newaxis], np.stack(channels, axis=2), planes)
+            image = replace(image, saturated=image.saturated & ~hot)
     else:
         level = np.median(dark.planes.reshape(-1, dark.planes.shape[2]), axis=0).astype(np.float32)
         planes, how = image.planes - level, "median level"
