@@ -123,21 +123,27 @@ class Aligner:
             yield Seen(sample, self._feed.push(sample), self._pattern)
 
     def _look(self) -> AlignSample:
+        shown, exposure = self._pattern, self._exposure
         if self._live_view:
             image = preview_image(self._camera.preview())
             if image is None:
                 raise CaptureError("camera: its live view is no JPEG; leave out --live-view")
-            return look(image, None) if self._pattern == "dot" else only_show(image, self._pattern)
+            return self._judge(image, shown, None)
         path: Path | None = None
         try:
-            path = self._camera.capture(self._exposure, self._scratch / "align.dng").path
+            path = self._camera.capture(exposure, self._scratch / "align.dng").path
             image = self._read(path)
         finally:
             if path is not None:
                 path.unlink(missing_ok=True)
-        shown, exposure = self._pattern, self._exposure
-        if self._follow and shown != "black":
+        if self._follow and shown == self._pattern != "black":
             self._adjust(image)
+        return self._judge(image, shown, exposure)
+
+    def _judge(self, image: LinearImage, shown: str, exposure: Exposure | None) -> AlignSample:
+        """Measure a frame of the dot; one during which the panel was switched shows neither pattern."""
+        if shown != self._pattern:
+            return only_show(image, "a new pattern")
         return look(image, exposure) if shown == "dot" else only_show(image, shown)
 
     def _adjust(self, image: LinearImage) -> None:
