@@ -22,7 +22,7 @@ from calibration.errors import BankError, MismatchError
 from calibration.image import LinearImage
 from calibration.lens_fit import LensFit
 
-__all__ = ["Bank", "LensFit", "check_fits", "load_bank", "save_bank"]
+__all__ = ["Bank", "LensFit", "check_fits", "dump", "load_bank", "save_bank", "undump"]
 
 FORMAT = 1
 _CORE = ("depths_mm", "psf", "psf_se", "field_yx", "radius_px", "radius_se_px", "residual_px")
@@ -155,6 +155,29 @@ def load_bank(directory: str | Path) -> Bank:
     missing = [name for name in _CORE if name not in arrays]
     if missing:
         raise BankError(f"{path}: lists no array {missing[0]}; restore the bank from a copy")
+    return _assembled(manifest, arrays)
+
+
+def dump(bank: Bank) -> tuple[str, dict[str, NDArray[Any]]]:
+    """Everything that a bank holds: its manifest as JSON text, its arrays by name; :func:`undump` reverses it."""
+    files = _serialise(bank)
+    manifest = _manifest_of(bank, files)
+    text = json.dumps({"id": _identify(manifest), **manifest}, sort_keys=True, allow_nan=False)
+    return text, {name.removesuffix(".npy"): np.load(io.BytesIO(data)) for name, data in files.items()}
+
+
+def undump(text: str, arrays: Mapping[str, NDArray[Any]]) -> Bank | None:
+    """Put a bank together again from what :func:`dump` gave; None if anything was changed since."""
+    try:
+        stored = json.loads(text)
+        manifest = {key: value for key, value in stored.items() if key != "id"}
+        bank = _assembled(manifest, {name: arrays[name] for name in manifest["arrays"]})
+        return bank if bank.id == stored["id"] == _identify(manifest) else None
+    except (ValueError, TypeError, KeyError, AttributeError, BankError):
+        return None
+
+
+def _assembled(manifest: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> Bank:
     lens = manifest["lens"]
     return Bank(
         depths_mm=arrays["depths_mm"],

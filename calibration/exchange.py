@@ -13,7 +13,7 @@ import scipy.io
 import tifffile
 from numpy.typing import NDArray
 
-from calibration.bank import Bank
+from calibration.bank import Bank, dump, undump
 from calibration.build import software_version
 from calibration.errors import BankError, DepthListError, FitError
 from calibration.lens_fit import LensFit, check_depths, fit_lens
@@ -22,6 +22,7 @@ from calibration.template import Spot, fit_spots
 FloatArray = NDArray[np.float64]
 
 _PSF_NAMES = ("psf", "psfs", "PSF", "PSFs", "bank", "h", "kernels")
+_FACTS = ("recipe", "pixel_pitch_mm", "camera", "exported_from")
 _DEPTH_NAMES = ("depths_cm", "depths_mm", "depths", "depth_cm", "depth_mm", "depth", "z")
 
 
@@ -38,8 +39,9 @@ def import_bank(
     Parameters
     ----------
     path
-        ``.npy``, ``.npz``, ``.mat`` (the array named psf, or the only three-dimensional one) or ``.tif``. An
-        ``.npz`` or ImageJ TIFF written by :func:`export_npz` or :func:`export_tiff` comes back exactly.
+        ``.npy``, ``.npz``, ``.mat`` (the array named psf, or the only three-dimensional one) or ``.tif``. An ``.npz``
+        written by :func:`export_npz` and unchanged since is the same bank again, id included; an ImageJ TIFF
+        written by :func:`export_tiff` comes back with its planes, depths, recipe, pitch and camera.
     depths_mm
         One per plane, in the order of the planes (ascending or descending); None: taken from the file (``depths_mm``,
         ``depths_cm``, or slice labels in cm).
@@ -65,6 +67,9 @@ def import_bank(
         raise BankError(f"{path}: no such file") from None
     except Exception as error:  # readers raise whatever broken bytes lead them to
         raise BankError(f"{path}: can't be read ({' '.join(str(error).split())[:120]})") from error
+    whole = stored.get("bank")
+    if isinstance(whole, Bank) and depths_mm is None and axis is None:
+        return whole
     depths = list(depths_mm) if depths_mm is not None else stored.get("depths_mm")
     if depths is None:
         raise DepthListError(f"{path}: holds no depths; give one per plane")
@@ -97,38 +102,36 @@ def import_bank(
         manifest={
             "kind": "imported",
             "software": software_version(),
-            "source": {"name": path.name, "sha256": hashlib.sha256(path.read_bytes()).hexdigest()},
+            "source": {
+                "name": path.name,
+                "sha256": hashlib.sha256(path.read_bytes()).hexdigest(),
+                "exported_from": stored.get("exported_from"),
+            },
             "camera": stored.get("camera", {}),
+            "quality": {"verdict": "unknown", "reasons": [_unknown(stored_se is not None)]},
         },
     )
 
 
 def export_npz(bank: Bank, path: str | Path) -> Path:
-    """Write PSFs, standard errors, depths and facts as a compressed NPZ; :func:`import_bank` reads it back exactly."""
+    """Write all that the bank holds as a compressed NPZ: its arrays by name, its manifest as JSON text."""
     path = Path(path)
-    facts = {"recipe": bank.recipe, "pixel_pitch_mm": bank.pixel_pitch_mm, "camera": bank.manifest.get("camera", {})}
+    manifest, arrays = dump(bank)
     with path.open("wb") as stream:
-        np.savez_compressed(
-            stream,
-            psf=bank.psf,
-            psf_se=bank.psf_se,
-            depths_mm=bank.depths_mm,
-            field_yx=bank.field_yx,
-            radius_px=bank.lens.radius_px,
-            facts=np.array(json.dumps(facts)),
-        )
+        np.savez_compressed(stream, manifest=np.array(manifest), **arrays)  # type: ignore[arg-type]  # numpy/numpy#28104
     return path
 
 
 def export_tiff(bank: Bank, path: str | Path) -> Path:
-    """Write the central set as an ImageJ hyperstack: float32, one slice a depth, labelled in cm."""
+    """Write the central set as an ImageJ hyperstack: float32, one slice a depth, labelled in cm.
+
+    A stack of pictures can't hold the rest: standard errors, other field positions, the lens fit, quality and history.
+    """
     path = Path(path)
     labels = [f"{depth / 10:.10g} cm" for depth in bank.depths_mm]
     metadata: dict[str, Any] = {"axes": "ZYX", "Labels": labels, "mode": "grayscale"}
     facts = {
-        "recipe": bank.recipe,
-        "pixel_pitch_mm": bank.pixel_pitch_mm,
-        "bank": bank.id,
+        **_facts(bank.recipe, bank.pixel_pitch_mm, bank.manifest.get("camera", {}), bank.id),
         "depths_mm": bank.depths_mm.tolist(),
     }
     metadata["Info"] = json.dumps(facts)
@@ -197,8 +200,8 @@ def _read(path: Path) -> tuple[NDArray[Any], dict[str, Any]]:
     else:
         raise BankError(f"{path}: can't import {suffix or 'this'}; give .npy, .npz, .mat (up to v7) or .tif")
     stored: dict[str, Any] = {}
-    if "facts" in content:
-        stored = json.loads(str(content["facts"]))
+    if "manifest" in content:
+        stored = _from_manifest(str(content["manifest"]), content)
     for name in ("psf_se", "field_yx"):
         if name in content:
             stored[name] = content[name]
@@ -216,6 +219,27 @@ def _read(path: Path) -> tuple[NDArray[Any], dict[str, Any]]:
     return stacks[0], stored
 
 
+def _facts(recipe: str, pixel_pitch_mm: float | None, camera: object, bank_id: object) -> dict[str, Any]:
+    return dict(zip(_FACTS, (recipe, pixel_pitch_mm, camera, bank_id), strict=True))
+
+
+def _from_manifest(text: str, content: dict[str, Any]) -> dict[str, Any]:
+    """What an exported NPZ says of itself: the whole bank if it is as it was written, else only the plain facts."""
+    bank = undump(text, content)
+    if bank is not None:
+        return {"bank": bank}
+    try:
+        told = json.loads(text)
+        return _facts(told["recipe"], told["pixel_pitch_mm"], told.get("camera", {}), told["id"])
+    except (ValueError, TypeError, KeyError):
+        return {}  # a manifest of someone else's
+
+
+def _unknown(has_errors: bool) -> str:
+    known = "" if has_errors else ", their standard errors are taken as 2 % of the level"
+    return f"imported PSFs don't tell how they were taken{known}"
+
+
 def _read_tiff(path: Path) -> tuple[NDArray[Any], dict[str, Any]]:
     with tifffile.TiffFile(path) as tif:
         stack = np.asarray(tif.asarray())
@@ -226,7 +250,7 @@ def _read_tiff(path: Path) -> tuple[NDArray[Any], dict[str, Any]]:
         stored["depths_mm"] = [round(float(str(label).strip()[:-2]) * 10.0, 9) for label in labels]
     try:
         facts = json.loads(str(imagej.get("Info", "")))
-        stored |= {key: facts[key] for key in ("recipe", "pixel_pitch_mm", "depths_mm") if key in facts}
+        stored |= {key: facts[key] for key in (*_FACTS, "depths_mm") if key in facts}
     except (ValueError, TypeError):
         pass  # an Info text of someone else's
     return stack, stored

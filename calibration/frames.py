@@ -1,12 +1,14 @@
 """A directory of files taken elsewhere -> which file shows the point at which depth.
 
 Either file names say it (``psf_060cm.dng``, ``psf_0600mm_2.npy``, ``dark_1.dng``), or a ``frames.csv`` with the columns
-``file,depth_cm,kind``, kind being ``psf`` or ``dark``.
+``file,depth_cm,kind``, kind being ``psf`` or ``dark``. Repeats of a depth differ in what follows its unit
+(``psf_060cm.dng``, ``psf_060cm_2.dng``); a frame that is there twice is refused: it would pass for two.
 """
 
 from __future__ import annotations
 
 import csv
+import hashlib
 import re
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,7 +17,7 @@ from calibration.errors import DepthListError, FrameError
 from calibration.lens_fit import check_depths
 
 _NAME = re.compile(
-    r"^(?P<kind>psf|point|dot)[_-]?(?P<number>\d+(?:[.,]\d+)?)(?P<unit>cm|mm|m)(?:[_-]\w+)?$", re.IGNORECASE
+    r"^(?P<kind>psf|point|dot)[_-]?(?P<number>\d+(?:[.,]\d+)?)(?P<unit>cm|mm|m)(?:[_-](?P<repeat>\w+))?$", re.IGNORECASE
 )
 _DARK = re.compile(r"^(dark|black|bias)([_-]?\w+)?$", re.IGNORECASE)
 _TO_MM = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
@@ -40,7 +42,8 @@ def find_frames(directory: str | Path) -> FrameList:
     Raises
     ------
     FrameError
-        No such directory, nothing in it that is named like a frame, a file named in the list is missing, a bad line.
+        No such directory, nothing in it that is named like a frame, a file named in the list is missing, a bad line,
+        a frame that is there twice, two files named for the same repeat of a depth.
     DepthListError
         Fewer than 3 depths, or numbers that can't be right.
     """
@@ -58,6 +61,7 @@ def find_frames(directory: str | Path) -> FrameList:
         check_depths(sorted(points))
     except DepthListError as error:
         raise DepthListError(f"{table if table.is_file() else directory}: {error}") from None
+    _refuse_copies([*darks, *(path for paths in points.values() for path in paths)])
     return FrameList(
         points=tuple((depth, tuple(sorted(points[depth]))) for depth in sorted(points)), darks=tuple(sorted(darks))
     )
@@ -67,14 +71,35 @@ def _files(directory: Path) -> list[Path]:
     return sorted(p for p in directory.iterdir() if p.is_file() and p.suffix.lower() not in _IGNORED)
 
 
+def _refuse_copies(paths: list[Path]) -> None:
+    """Refuse files of the same bytes: two exposures never agree in their noise."""
+    of_size: dict[int, list[Path]] = {}
+    for path in sorted(paths):
+        if (size := path.stat().st_size) > 0:  # of an empty one the reader speaks
+            of_size.setdefault(size, []).append(path)
+    seen: dict[str, Path] = {}
+    for path in (path for group in of_size.values() if len(group) > 1 for path in group):
+        with path.open("rb") as stream:
+            first = seen.setdefault(hashlib.file_digest(stream, "sha256").hexdigest(), path)
+        if first is not path:
+            raise FrameError(f"{path}: is a copy of {first.name}, byte for byte; remove one of them")
+
+
 def _from_names(directory: Path) -> tuple[dict[float, list[Path]], list[Path]]:
     points: dict[float, list[Path]] = {}
     darks: list[Path] = []
+    named: dict[tuple[float, str], Path] = {}
     for path in _files(directory):
         match = _NAME.match(path.stem)
         if match:
-            depth_mm = float(match["number"].replace(",", ".")) * _TO_MM[match["unit"].lower()]
-            points.setdefault(round(depth_mm, 3), []).append(path)
+            depth_mm = round(float(match["number"].replace(",", ".")) * _TO_MM[match["unit"].lower()], 3)
+            first = named.setdefault((depth_mm, (match["repeat"] or "").lower()), path)
+            if first is not path:
+                raise FrameError(
+                    f"{path}: stands for {depth_mm / 10:g} cm like {first.name}; name a repeat "
+                    f"{first.stem}_2{path.suffix}, or remove one of them"
+                )
+            points.setdefault(depth_mm, []).append(path)
         elif _DARK.match(path.stem):
             darks.append(path)
         elif path.stem.lower().startswith("psf"):

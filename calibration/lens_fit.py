@@ -77,8 +77,11 @@ def check_depths(depths_mm: Sequence[float], *, ordered: bool = False) -> FloatA
     steps = np.diff(depths)
     if ordered and not ((steps > 0).all() or (steps < 0).all()):
         i = int(np.flatnonzero(np.sign(steps) != np.sign(steps[0]))[0])
+        first = "ascend" if steps[0] > 0 else "descend"
         raise DepthListError(
-            f"depths are out of order: {depths[i] / 10:g}, {depths[i + 1] / 10:g} cm; list them as stored"
+            f"depths are out of order: they {first} up to plane {i + 1} ({depths[i] / 10:g} cm), but "
+            f"plane {i + 2} is at {depths[i + 1] / 10:g} cm; list them in the order of the planes, all ascending or "
+            "all descending"
         )
     if values[-1] < 50.0:
         raise DepthListError(

@@ -198,13 +198,29 @@ def _develop_raw(path: Path, sha256: str, tags: Tags, recipe: Recipe, pitch_mm: 
     except rawpy.LibRawFileUnsupportedError as error:
         raise FrameError(f"{path}: is not a RAW file that LibRaw knows; give RAW, or linear .tif or .npy") from error
     except rawpy.LibRawError as error:
-        raise FrameError(
-            f"{path}: can't be decoded, truncated or damaged ({_first_line(error)}); copy it again"
-        ) from error
+        raise FrameError(f"{path}: {_what_it_is(path, tags)} ({_first_line(error)})") from error
     pitch = pitch_mm or info.pixel_pitch_mm
     if pitch is not None and recipe == "superpixel":
         pitch *= 2.0
     return LinearImage(planes, saturated, recipe, pitch, info)
+
+
+def _what_it_is(path: Path, tags: Tags) -> str:
+    """What to say of a file that LibRaw gives up on: it doesn't tell a broken RAW file from a shopping list."""
+    with path.open("rb") as stream:
+        start = stream.read(1 << 16)
+        if not any(start) and not any(any(block) for block in iter(lambda: stream.read(1 << 20), b"")):
+            return "all its bytes are zero; copy it again from the camera"
+    if tags.make or tags.model:
+        return "can't be decoded, truncated or damaged; copy it again"
+    try:
+        start.decode("utf-8")
+        is_text = b"\0" not in start
+    except UnicodeDecodeError:
+        is_text = False
+    if is_text:
+        return "is a text file, not a RAW file; give RAW, or linear .tif or .npy"
+    return "is not a RAW file, or one cut off near its beginning; give RAW, or linear .tif or .npy, or copy it again"
 
 
 @contextmanager

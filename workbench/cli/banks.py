@@ -278,5 +278,6 @@ def export(context: Context, ref: str, path: Path) -> None:
     loaded, _ = open_bank(context.project(), ref)
     with replacing(path) as temporary:
         writer(loaded, temporary)
-    context.say(f"wrote {path}")
+    rest = "the central PSFs; their errors, the lens fit, quality and history stay behind (.npz takes all along)"
+    context.say(f"wrote {path}: {'the whole bank' if writer is export_npz else rest}")
     context.emit({"id": loaded.id, "file": str(path)})

@@ -370,9 +370,13 @@ def _conclude(
     likeness = np.exp((curve - curve[best]) / options.ambiguity)
     confidence = 1.0 / (1.0 + float(likeness[peaks].sum()))
     mirror = mirror_depth(depth, focus_mm=bank.lens.focus_mm)
-    in_reach = depths[0] <= mirror <= depths[-1]
+    # Next to the focal plane both sides lie on one peak: the interval says so, and the mirror is no other answer.
+    between = (depths >= min(depth, mirror)) & (depths <= max(depth, mirror))
+    on_one_peak = float(curve[between].min()) >= curve[best] - options.interval_drop
+    rivals = depths[0] <= mirror <= depths[-1] and not on_one_peak
     # The curve is as smooth in 1 / depth as the blur is.
-    at_mirror = float(np.interp(-1.0 / mirror, -1.0 / depths, likeness)) if in_reach else 0.0
+    at_mirror = float(np.interp(-1.0 / mirror, -1.0 / depths, likeness)) if rivals else 0.0
+    mirror_probability = at_mirror / (1.0 + at_mirror)
     status: Status = "ok"
     reason = ""
     if second is not None and curve[best] - curve[second] < options.ambiguity:
@@ -384,9 +388,9 @@ def _conclude(
     return DepthEstimate(
         depth_mm=depth,
         interval_mm=_interval(depths, curve, options.interval_drop),
-        confidence=confidence,
-        mirror_mm=mirror if in_reach else float("nan"),
-        mirror_probability=at_mirror / (1.0 + at_mirror),
+        confidence=min(confidence, 1.0 - mirror_probability),
+        mirror_mm=mirror if rivals else float("nan"),
+        mirror_probability=mirror_probability,
         status=status,
         depths_mm=depths,
         score=curve,

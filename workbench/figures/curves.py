@@ -62,7 +62,7 @@ def score_curves(estimates: Mapping[int, DepthEstimate]) -> Figure:
     rows = max(1, -(-len(numbers) // columns))
     lowest = _lowest_score(estimates)
     with style():
-        figure = new_figure(WIDTH_IN if columns > 1 else WIDTH_IN * 0.6, 0.5 + 1.55 * rows)
+        figure = new_figure(WIDTH_IN, 0.5 + 1.55 * rows)
         grid = figure.subplots(rows, columns, squeeze=False)
         for axes, number in zip(grid.flat, numbers, strict=False):
             _curve_panel(axes, number, estimates[number], lowest)

@@ -240,7 +240,7 @@ def _measurement_provenance(measurement: Measurement, bank: Bank) -> list[tuple[
         ("Focus", f"{lens.focus_mm / 10:.2f} ± {lens.focus_se_mm / 10:.2f} cm"),
         ("Made by", f"depth-workbench {bank.manifest.get('software', UNKNOWN)}"),
     ]  # fmt: skip
-    method: Facts = [("Method", measurement.method), *plain_facts(measurement.options)]
+    method: Facts = plain_facts(measurement.options)
     files = [(role.replace("_", " "), path.name) for role, path in measurement.files.items()]
     sections = [("Photograph", photograph), ("Bank", calibration), ("Method and options", method)]
     return sections + ([("Files beside this report", files)] if files else [])

@@ -114,16 +114,30 @@ def test_asymmetry_tells_a_seven_from_a_disc() -> None:
 
 def test_frames_are_listed_by_name_with_repeats_and_darks(tmp_path: Path) -> None:
     for name in ("psf_060cm.dng", "psf_0700mm.npy", "psf_1.2m.tif", "psf_060cm_2.dng", "dark_1.dng", "notes.txt"):
-        (tmp_path / name).write_bytes(b"x")
+        (tmp_path / name).write_bytes(name.encode())
     frames = find_frames(tmp_path)
     assert [depth for depth, _ in frames.points] == [600.0, 700.0, 1200.0]
     assert [p.name for p in frames.points[0][1]] == ["psf_060cm.dng", "psf_060cm_2.dng"]
     assert [p.name for p in frames.darks] == ["dark_1.dng"]
 
 
+def test_two_files_for_the_same_repeat_of_a_depth_are_refused(tmp_path: Path) -> None:
+    for name in ("psf_060cm.dng", "psf_070cm.dng", "psf_080cm.dng", "psf_80cm.dng"):
+        (tmp_path / name).write_bytes(name.encode())
+    with pytest.raises(FrameError, match=r"psf_80cm.dng: stands for 80 cm like psf_080cm.dng; .*psf_080cm_2.dng"):
+        find_frames(tmp_path)
+
+
+def test_a_frame_that_is_there_twice_is_refused(tmp_path: Path) -> None:
+    for name, content in (("psf_060cm", "a"), ("psf_070cm", "b"), ("psf_080cm", "c"), ("psf_070cm_2", "b")):
+        (tmp_path / f"{name}.dng").write_text(content)
+    with pytest.raises(FrameError, match=r"psf_070cm_2.dng: is a copy of psf_070cm.dng, byte for byte"):
+        find_frames(tmp_path)
+
+
 def _table(directory: Path, text: str) -> Path:
     for name in "abcd":
-        (directory / f"{name}.dng").write_bytes(b"x")
+        (directory / f"{name}.dng").write_bytes(name.encode())
     (directory / "frames.csv").write_text("file,depth_cm,kind\n" + text)
     return directory
 

@@ -73,7 +73,7 @@ def test_aperture_radius_follows_from_the_papers_numbers() -> None:
     [
         ([600.0, 700.0], "at least 3"),
         ([600.0, 700.0, 700.0, 800.0], "70 cm is listed twice"),
-        ([600.0, 800.0, 700.0], "out of order: 80, 70"),
+        ([600.0, 800.0, 700.0], "ascend up to plane 2 \\(80 cm\\), but plane 3 is at 70"),
         ([6.0, 7.0, 35.0], "metres"),
         ([60_000.0, 70_000.0, 350_000.0], "millimetres"),
         ([60.0, 700.0, 35_000.0], "mix units"),
