@@ -25,13 +25,12 @@ from workbench.depth.evidence_posterior import Refined, find_modes, mode_scores,
 from workbench.depth.evidence_side import sparseness
 from workbench.depth.evidence_spectrum import (
     SpectralFit,
-    TextureFactor,
     basis,
     fit_spectra,
     frequencies,
-    mixed_power,
     smeared_power,
 )
+from workbench.depth.evidence_uniform import mixture_gain, parts_loss
 from workbench.depth.evidence_windows import Pooled, Window, place_windows, pooled_periodogram, soft_mask
 
 __all__ = [
@@ -107,6 +106,8 @@ class Observation:
     """Part of the texture's power, relative to its smooth spectrum, in the strongest hundredth of the frequencies."""
     varied: float
     """Log-likelihood that a mixture of neighbouring blurs gains over the best single one."""
+    parted: float
+    """Log-likelihood that its parts lose by sharing one blur."""
 
 
 def observe(plane: NDArray[np.float32], mask: Mask, model: DepthModel, options: EvidenceOptions) -> Observation | None:
@@ -123,10 +124,8 @@ def observe(plane: NDArray[np.float32], mask: Mask, model: DepthModel, options: 
             return None
     pooled = pooled_periodogram(plane, windows, model.kernel_lags.shape[1] // 2)
     expected = smeared_power(model.kernel_lags, pooled.taper_lags, size)
-    averages, factor = _trusted(pooled), _factor(options)
-    fit = fit_spectra(pooled.power, averages, expected, factor=factor)
-    mixtures = mixed_power(expected, model.row_radius_px, options.varied_px)
-    varied = float(fit_spectra(pooled.power, averages, mixtures, factor=factor).log_likelihood.max())
+    fit = fit_spectra(pooled.power, pooled.trusted, expected, factor=options.factor)
+    finer = place_windows(mask, soft, size // 2, least_weight=options.least_weight)
     pixels = sum(w.weight for w in windows) * size * size * 0.25  # half overlap both ways: each pixel counts fourfold
     return Observation(
         windows,
@@ -136,16 +135,9 @@ def observe(plane: NDArray[np.float32], mask: Mask, model: DepthModel, options: 
         max(pixels, size * size * windows[0].weight),
         _low_share(pooled.power, fit),
         _line_share(pooled.power, expected, fit),
-        varied - float(fit.log_likelihood.max()),
+        mixture_gain(pooled, expected, float(fit.log_likelihood.max()), model, options),
+        parts_loss(plane, finer, model, options),
     )
-
-
-def _trusted(pooled: Pooled) -> float:
-    return max(1.0, 0.7 * pooled.averages)
-
-
-def _factor(options: EvidenceOptions) -> TextureFactor:
-    return TextureFactor(options.factor_spread, options.factor_wide_share, options.factor_wide_spread)
 
 
 def refine(seen: Observation, row: int, model: DepthModel, options: EvidenceOptions) -> Refined:
@@ -164,8 +156,8 @@ def refine(seen: Observation, row: int, model: DepthModel, options: EvidenceOpti
         sigma = radius
     expected = smeared_power(model.lags_at(sigma), seen.pooled.taper_lags, seen.pooled.power.shape[0])
     start = seen.fit.coefficients[row], float(seen.fit.log_noise[row])
-    averages, factor = _trusted(seen.pooled), _factor(options)
-    fit = fit_spectra(seen.pooled.power, averages, expected, factor=factor, start=start, steps=_REFINED_FISHER_STEPS)
+    fit = fit_spectra(seen.pooled.power, seen.pooled.trusted, expected,
+                      factor=options.factor, start=start, steps=_REFINED_FISHER_STEPS)  # fmt: skip
     return Refined(radius, fit.log_likelihood)
 
 
@@ -273,7 +265,7 @@ def _conclude(
         "mode_sparseness_far_near": np.stack([far, near]),
     }
     estimate = summarise(sigma, log_post, int(seen.pixels), model, learned, options, diagnostics)
-    if seen.varied > options.varied_log_likelihood:
+    if seen.varied > options.varied_log_likelihood or seen.parted > options.parts_log_likelihood:
         return _doubted(estimate, "its blur is not the same all over: a slanted surface, or several depths")
     return _unless_another_blur_fits(estimate, likelihood, modes, model, options)
 

@@ -11,6 +11,7 @@ from scipy import fft
 from calibration.bank import Bank
 from calibration.pupil import PsfModel, PupilModel, psf_model
 from workbench.depth.evidence_side import FAMILIES
+from workbench.depth.evidence_spectrum import TextureFactor
 
 FloatArray = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -46,6 +47,8 @@ class EvidenceOptions:
     varied_px, varied_log_likelihood
         A mixture of blurs whose radii lie so far to both sides, and which explains the spectrum so much better than any
         single blur, makes a region ambiguous: its surface is slanted, or it holds several depths.
+    parts_log_likelihood
+        So does what the region's parts lose, together, by sharing one blur.
     least_evidence
         Log-likelihood that texture must gain over noise alone.
     colour_gain
@@ -69,12 +72,18 @@ class EvidenceOptions:
     close_ratio: float = 1.25
     varied_px: float = 4.0
     varied_log_likelihood: float = 8.0
+    parts_log_likelihood: float = 10.0
     least_evidence: float = 12.0
     colour_gain: float = 1.6
     max_saturated: float = 0.1
     factor_spread: float = 0.5
     factor_wide_share: float = 0.1
     factor_wide_spread: float = 2.5
+
+    @property
+    def factor(self) -> TextureFactor:
+        """Distribution of the texture's factor per frequency."""
+        return TextureFactor(self.factor_spread, self.factor_wide_share, self.factor_wide_spread)
 
 
 @dataclass(frozen=True, slots=True)

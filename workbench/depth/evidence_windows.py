@@ -8,6 +8,7 @@ saturated pixels.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -51,6 +52,11 @@ class Pooled:
     power: FloatArray
     averages: float
     taper_lags: FloatArray
+
+    @property
+    def trusted(self) -> float:
+        """What the average is taken to be worth: somewhat less, textures being no stationary noise."""
+        return max(1.0, 0.7 * self.averages)
 
 
 def hann(size: int) -> FloatArray:
@@ -106,8 +112,15 @@ def soft_mask(mask: Mask, *, margin_px: float, ramp_px: float) -> NDArray[np.flo
 
     float32 (H, W).
     """
-    share = np.clip((edge_distance(mask) - np.float32(margin_px)) / np.float32(max(ramp_px, 1e-6)), 0.0, 1.0)
-    return np.asarray(np.where(mask, share * share * (3.0 - 2.0 * share), 0.0), np.float32)
+    soft = np.zeros(mask.shape, np.float32)
+    rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
+    if rows.size:
+        # with a ring of one pixel about the region: nothing outside is nearer than what lies on it
+        box = slice(max(rows[0] - 1, 0), rows[-1] + 2), slice(max(columns[0] - 1, 0), columns[-1] + 2)
+        inside = edge_distance(mask[box]) - np.float32(margin_px)
+        share = np.clip(inside / np.float32(max(ramp_px, 1e-6)), np.float32(0.0), np.float32(1.0))
+        soft[box] = np.where(mask[box], share * share * (3.0 - 2.0 * share), 0.0)
+    return soft
 
 
 def _holes(cut: NDArray[np.float32]) -> bool:
@@ -137,7 +150,7 @@ def _mirrored(index: NDArray[np.intp], length: int) -> NDArray[np.intp]:
     return np.asarray(np.where(folded < length, folded, period - 1 - folded), np.intp)
 
 
-def pooled_periodogram(plane: NDArray[np.float32], windows: list[Window], lags: int) -> Pooled:
+def pooled_periodogram(plane: NDArray[np.float32], windows: Sequence[Window], lags: int) -> Pooled:
     """Average the windows' periodograms.
 
     The image is differenced along both axes before it is tapered, and the spectrum divided by the differences' response
@@ -188,7 +201,7 @@ def pooled_periodogram(plane: NDArray[np.float32], windows: list[Window], lags: 
     return Pooled(total / response / energy, _worth(windows), np.asarray(picked, np.float64))
 
 
-def _worth(windows: list[Window]) -> float:
+def _worth(windows: Sequence[Window]) -> float:
     """Independent periodograms that these windows amount to (Welch 1967): overlapping ones repeat each other."""
     size = windows[0].taper.shape[0]
     own = hann(size)

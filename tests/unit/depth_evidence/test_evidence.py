@@ -130,6 +130,19 @@ def test_region_of_two_depths_says_so(bank: Bank) -> None:
     assert "not the same all over" in found.reason
 
 
+def test_sharp_object_does_not_speak_for_the_blurred_rest_of_its_region(bank: Bank) -> None:
+    """It outweighs the rest of the spectrum so far that no mixture of blurs fits better: only the parts tell."""
+    sharp, blurred = (photograph(leaves(SIDE + 100, seed), depth) for seed, depth in ((18, 1800.0), (19, 2900.0)))
+    corner = np.zeros((*sharp.shape, 1), bool)
+    corner[: sharp.shape[0] * 5 // 8, : sharp.shape[1] * 5 // 8] = True
+    image = as_image(np.where(corner, sharp.planes, blurred.planes))
+    found = estimate_evidence(image, bank, whole(image.shape))[1]
+    assert found.status == "ambiguous"
+    assert "not the same all over" in found.reason
+    deaf = EvidenceOptions(parts_log_likelihood=1e9)
+    assert estimate_evidence(image, bank, whole(image.shape), deaf)[1].status == "ok"
+
+
 def test_mixture_of_neighbouring_blurs_is_their_mean() -> None:
     radii = np.arange(0.5, 12.5)
     flat = np.broadcast_to(radii.astype(np.float32)[:, np.newaxis, np.newaxis], (12, 4, 3)).copy()

@@ -1,0 +1,90 @@
+"""Is the blur the same all over a region? A slanted surface or several depths in one region have no single answer.
+
+Two tests, since either alone is blind: a mixture of blurs must not explain the pooled spectrum better than one blur
+does, and the region's parts, each with a texture of its own, must not lose by sharing one blur.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from workbench.depth.evidence_model import DepthModel, EvidenceOptions
+from workbench.depth.evidence_spectrum import fit_spectra, mixed_power, smeared_power
+from workbench.depth.evidence_windows import Pooled, Window, pooled_periodogram
+
+_LEAST_WINDOWS, _MOST_WINDOWS = 9, 80
+"""Three by three half-overlapping windows: fewer are no four parts. More than so many say nothing new."""
+_EVERY_ROW = 3
+_MOST_AVERAGES = 12.0
+"""Parts count for no more than this: a tolerance for what differs over the field, not a test of the lens."""
+_SAME_PX, _SAME_SHARE = 1.0, 0.05
+
+
+def mixture_gain(
+    pooled: Pooled, expected: NDArray[np.float32], best: float, model: DepthModel, options: EvidenceOptions
+) -> float:
+    """Log-likelihood that a mixture of neighbouring blurs gains over the best single one.
+
+    Parameters
+    ----------
+    pooled, expected
+        The region's periodogram, and what each blur makes one expect (float32 (D, N, N // 2 + 1)).
+    best
+        Log-likelihood of the best single blur.
+    model, options
+        Radii of the blurs; how far they mix.
+    """
+    mixtures = mixed_power(expected, model.row_radius_px, options.varied_px)
+    fit = fit_spectra(pooled.power, pooled.trusted, mixtures, factor=options.factor)
+    return float(fit.log_likelihood.max()) - best
+
+
+def parts_loss(
+    plane: NDArray[np.float32], windows: Sequence[Window], model: DepthModel, options: EvidenceOptions
+) -> float:
+    """Log-likelihood that a region's quarters lose when they share one blur, to a pixel and 5 % of its radius.
+
+    Parameters
+    ----------
+    plane
+        float32 (H, W).
+    windows
+        That cover the region. They are best half as wide as those that its depth is read from: more of them fit in.
+    model, options
+        Radii of the blurs; smallest window.
+
+    Returns
+    -------
+    float
+        0 where the windows are too few or too small for four parts.
+    """
+    if len(windows) < _LEAST_WINDOWS or windows[0].taper.shape[0] < options.smallest_window_px:
+        return 0.0
+    rows = slice(None, None, _EVERY_ROW)
+    radius = np.abs(model.row_radius_px[rows])
+    curves = []
+    for part in _quarters(windows):
+        pooled = pooled_periodogram(plane, part, model.kernel_lags.shape[1] // 2)
+        expected = smeared_power(model.kernel_lags[rows], pooled.taper_lags, pooled.power.shape[0])
+        fit = fit_spectra(pooled.power, min(_MOST_AVERAGES, pooled.trusted), expected, factor=options.factor)
+        curves.append(fit.log_likelihood)
+    each = np.stack(curves)
+    shared = float(radius[each.sum(axis=0).argmax()])
+    alike = np.abs(radius - shared) <= _SAME_PX + _SAME_SHARE * shared
+    return float((each.max(axis=1) - each[:, alike].max(axis=1)).sum())
+
+
+def _quarters(windows: Sequence[Window]) -> list[list[Window]]:
+    """Upper and lower half of the windows, each in a left and a right one, thinned out evenly."""
+    by_row = sorted(windows, key=lambda w: (w.row, w.column))
+    middle = (len(by_row) + 1) // 2
+    parts = []
+    for half in (by_row[:middle], by_row[middle:]):
+        by_column = sorted(half, key=lambda w: (w.column, w.row))
+        middle = (len(by_column) + 1) // 2
+        parts += [by_column[:middle], by_column[middle:]]
+    every = -(-len(windows) // _MOST_WINDOWS)
+    return [part[::every] for part in parts]
