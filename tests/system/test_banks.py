@@ -24,12 +24,23 @@ def _central(project: Path) -> Bank:
     return load_bank(_bank_directory(project))
 
 
-@pytest.mark.parametrize("suffix", [".npz", ".tif"])
-def test_an_exported_bank_comes_back_with_the_same_psfs(project: Path, tmp_path: Path, suffix: str) -> None:
+def test_an_exported_bank_is_the_same_bank_in_another_project(project: Path, tmp_path: Path) -> None:
+    exported = tmp_path / "bank.npz"
+    assert "the whole bank" in done("-C", project, "bank", "export", "active", exported).out
+    done("init", tmp_path / "other")
+    made = done("-C", tmp_path / "other", "bank", "import", exported, "--json").only
+    assert made == done("-C", project, "bank", "show", "--json").only
+    done("-C", project, "bank", "import", exported)
+    assert done("-C", project, "bank", "list", "--json").only["version"] == 1
+
+
+def test_an_exported_stack_comes_back_with_the_same_psfs(project: Path, tmp_path: Path) -> None:
     original = _central(project)
-    exported = tmp_path / f"bank{suffix}"
+    exported = tmp_path / "bank.tif"
     assert done("-C", project, "bank", "export", "active", exported, "--json").only["file"] == str(exported)
     made = done("-C", project, "bank", "import", exported, "--json").only
+    assert made["quality"]["verdict"] == "unknown"
+    assert made["camera"] == original.manifest["camera"]
     again = load_bank(project / "banks" / made["id"])
     assert np.array_equal(again.central, original.central)
     np.testing.assert_allclose(again.depths_mm, original.depths_mm)
@@ -70,7 +81,7 @@ def test_a_long_list_of_depths_is_no_file_name(project: Path, tmp_path: Path) ->
 
 
 def test_roll_back_certify_and_revoke(project: Path, tmp_path: Path) -> None:
-    exported = tmp_path / "bank.npz"
+    exported = tmp_path / "bank.tif"
     done("-C", project, "bank", "export", "v1", exported)
     second = done("-C", project, "bank", "import", exported, "--json").only
     first = _id(project, "v1")
@@ -207,3 +218,9 @@ def test_revoking_asks_and_no_means_no(project: Path) -> None:
     before = listing(project)
     refused(call("-C", project, "bank", "revoke", "v1", "--reason", "test"), "--yes")
     assert listing(project) == before
+
+def test_bench_measures_crops_of_the_sensor_with_a_projects_bank(project: Path, tmp_path: Path) -> None:
+    args = ("--textures", "leaves", "--sizes", "64", "--depths", "1", "--methods", "sharpness", "--jobs", "1")
+    found = done("-C", project, "bench", "accuracy", "--bank", "v1", *args, "--out", tmp_path / "out", "--json").only
+    assert found["tables"]
+    assert (tmp_path / "out" / "accuracy.md").exists()

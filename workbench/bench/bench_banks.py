@@ -82,10 +82,10 @@ def simulated_bank(
     with _alone(project):
         if not _has_bank(project):
             _calibrate(project, config, step_mm, observer, pupil)
-    return _for_crops(open_bank(project, "active")[0]), config
+    return for_crops(open_bank(project, "active")[0]), config
 
 
-def _for_crops(bank: Bank) -> Bank:
+def for_crops(bank: Bank) -> Bank:
     """The bank without its sensor's size: the cases' frames are parts of that sensor, and would be refused."""
     camera = {**bank.manifest["camera"], "sensor_size": None}
     return replace(bank, manifest={**bank.manifest, "camera": camera})

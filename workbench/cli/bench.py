@@ -17,7 +17,14 @@ from calibration.raw import develop
 from rigs.simulated.rig import render_scene_frame
 from workbench.banks import open_bank
 from workbench.bench.accuracy import Run, View, run_cases
-from workbench.bench.bench_banks import SECOND_PUPILS, default_work, raws_bank, rig_settings, simulated_bank
+from workbench.bench.bench_banks import (
+    SECOND_PUPILS,
+    default_work,
+    for_crops,
+    raws_bank,
+    rig_settings,
+    simulated_bank,
+)
 from workbench.bench.cases import BLANK, LIGHTS, SIZES, TEXTURES, depth_list, make_cases
 from workbench.bench.drawn_scenes import write_drawn_scenes
 from workbench.bench.method_speed import MemoryRow, MethodRow, method_rows, peak_memory
@@ -212,7 +219,7 @@ def _bank_of_rig(context: Context, bank_ref: str | None, work: Path, step_mm: fl
     """The project's bank, or one of the simulated rig, and the rig."""
     if bank_ref is not None:
         project = context.project()
-        return open_bank(project, bank_ref)[0], project.config()
+        return for_crops(open_bank(project, bank_ref)[0]), project.config()
     with context.progress("calibrating the simulated rig") as observer:
         return simulated_bank(work, seed=1, step_mm=step_mm, observer=observer)
 
