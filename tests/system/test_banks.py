@@ -219,6 +219,7 @@ def test_revoking_asks_and_no_means_no(project: Path) -> None:
     refused(call("-C", project, "bank", "revoke", "v1", "--reason", "test"), "--yes")
     assert listing(project) == before
 
+
 def test_bench_measures_crops_of_the_sensor_with_a_projects_bank(project: Path, tmp_path: Path) -> None:
     args = ("--textures", "leaves", "--sizes", "64", "--depths", "1", "--methods", "sharpness", "--jobs", "1")
     found = done("-C", project, "bench", "accuracy", "--bank", "v1", *args, "--out", tmp_path / "out", "--json").only
