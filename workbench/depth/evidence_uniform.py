@@ -20,7 +20,7 @@ _LEAST_WINDOWS, _MOST_WINDOWS = 9, 80
 _EVERY_ROW = 3
 _MOST_AVERAGES = 12.0
 """Parts count for no more than this: a tolerance for what differs over the field, not a test of the lens."""
-_SAME_PX, _SAME_SHARE = 1.0, 0.05
+_SAME_PX, _SAME_SHARE = 2.0, 0.05
 
 
 def mixture_gain(
@@ -45,7 +45,7 @@ def mixture_gain(
 def parts_loss(
     plane: NDArray[np.float32], windows: Sequence[Window], model: DepthModel, options: EvidenceOptions
 ) -> float:
-    """Log-likelihood that a region's quarters lose when they share one blur, to a pixel and 5 % of its radius.
+    """Log-likelihood that a region's quarters lose when they share one blur, to two pixels and 5 % of its radius.
 
     Parameters
     ----------
