@@ -26,6 +26,7 @@ class AlignSample:
 
     frame_width_px: int
     frame_height_px: int
+    """0 by 0: there was no frame."""
     image: bytes = b""
     """JPEG or PNG of the crop around the point; empty: keep the last one."""
     crop_px: tuple[float, float, float, float] | None = None
@@ -39,6 +40,8 @@ class AlignSample:
     saturated_px: int = 0
     width_px: float | None = None
     """Width of the PSF; the same measure from sample to sample is what counts."""
+    panel_mm_per_px: float | None = None
+    """What a pixel covers on the panel."""
     exposure_s: float | None = None
     iso: int | None = None
     note: str = ""
@@ -50,6 +53,13 @@ class AlignSample:
             return None
         target = self.target_px or ((self.frame_width_px - 1) / 2, (self.frame_height_px - 1) / 2)
         return self.centroid_px[0] - target[0], self.centroid_px[1] - target[1]
+
+    def offset_mm(self) -> tuple[float, float] | None:
+        """The same on the panel; None without a point, and where the panel's depth isn't known."""
+        offset = self.offset_px()
+        if offset is None or self.panel_mm_per_px is None:
+            return None
+        return offset[0] * self.panel_mm_per_px, offset[1] * self.panel_mm_per_px
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,7 +108,9 @@ def _centre(sample: AlignSample, tolerance: AlignTolerance) -> Finding:
     sides = ((offset[0], "left", "right"), (offset[1], "up", "down"))
     words = [f"{math.floor(abs(v) + 0.5)} px {low if v < 0 else high}" for v, low, high in sides if abs(v) >= 1]
     level: Level = "warn" if distance <= 5 * tolerance.centre_px else "bad"
-    return Finding("centre", level, f"off centre: {' and '.join(words)}")
+    on_panel = sample.offset_mm()
+    about = "" if on_panel is None else f" ({math.hypot(*on_panel):.0f} mm on the panel)"
+    return Finding("centre", level, f"off centre: {' and '.join(words)}{about}")
 
 
 def _exposure(sample: AlignSample, tolerance: AlignTolerance) -> Finding | None:
@@ -149,7 +161,7 @@ class AlignFeed:
     def push(self, sample: AlignSample) -> tuple[Finding, ...]:
         """Show a sample on every open page; returns its judgement."""
         with self._lock:
-            if sample.width_px is not None and sample.centroid_px is not None:
+            if sample.width_px is not None and self._is_well_exposed(sample):
                 known = self._narrowest_px
                 self._narrowest_px = sample.width_px if known is None else min(known, sample.width_px)
             findings = judge(sample, self._tolerance, self._narrowest_px)
@@ -163,7 +175,7 @@ class AlignFeed:
             text = {
                 "type": "sample",
                 "number": number,
-                "sample": {**facts, "offset_px": offset, "distance_px": distance},
+                "sample": {**facts, "offset_px": offset, "distance_px": distance, "offset_mm": sample.offset_mm()},
                 "findings": [asdict(finding) for finding in findings],
                 "narrowest_px": self._narrowest_px,
                 "tolerance": asdict(self._tolerance),
@@ -172,6 +184,11 @@ class AlignFeed:
             self._latest = Published(number, time.monotonic(), text, image)
             self._announce()
             return findings
+
+    def _is_well_exposed(self, sample: AlignSample) -> bool:
+        """Whether its width can be compared: of a dim point the rim is missing, of a saturated one the middle."""
+        low = self._tolerance.peak[0]
+        return sample.saturated_px == 0 and (sample.peak is None or sample.peak >= low)
 
     def forget_narrowest(self) -> None:
         """Start the search for the narrowest width anew: after the stage or the lens was moved on purpose."""

@@ -63,6 +63,8 @@ class AlignServer:
     actions
         Buttons: label -> what a press does, called in a thread of its own, one press at a time. A
         :class:`~rigs.errors.RigError` is shown on the page.
+    active
+        Label of what holds from the beginning.
 
     Raises
     ------
@@ -77,10 +79,11 @@ class AlignServer:
         settings: AlignSettings,
         feed: AlignFeed,
         actions: Mapping[str, Callable[[], None]] = MappingProxyType({}),
+        active: str = "",
     ) -> None:
         self._feed, self._actions = feed, dict(actions)
         self._pressing = threading.Lock()
-        self._active = ""
+        self._active = active
         application = Starlette(
             routes=[
                 Route("/", self._page),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from calibration.errors import CalibrationError, FrameError
@@ -51,6 +51,8 @@ class Aligner:
         Fixed exposure time, or None to have it follow the point; and the ISO.
     live_view
         Take the camera's live view instead of frames.
+    panel_scale
+        Pixel pitch of a frame (mm) -> what a pixel covers on the panel (mm); None: the panel's depth isn't known.
     """
 
     def __init__(
@@ -65,6 +67,7 @@ class Aligner:
         exposure_s: float | None,
         iso: int,
         live_view: bool,
+        panel_scale: Callable[[float], float] | None = None,
     ) -> None:
         self._camera, self._panel, self._feed, self._read = camera, panel, feed, read
         self._dot, self._scratch, self._live_view = dot, scratch, live_view
@@ -72,8 +75,15 @@ class Aligner:
         wanted = FIRST_TIME_S if exposure_s is None else exposure_s
         nearest = min(self._times, key=lambda offered: abs(offered - wanted))
         self._exposure, self._follow, self._base_iso = Exposure(nearest, iso), exposure_s is None, iso
+        self._panel_scale = panel_scale
+        self._frame_px = (0, 0)
         self._painting = threading.Lock()
         self._pattern = ""
+
+    @property
+    def exposure_s(self) -> float:
+        """Exposure time of the next frame: the nearest to the one that was asked for that the camera offers."""
+        return self._exposure.time_s
 
     def actions(self) -> dict[str, Callable[[], None]]:
         """What the page's buttons do: label -> show that pattern."""
@@ -118,7 +128,8 @@ class Aligner:
                 troubles += 1
                 if troubles == TRIES:
                     raise
-                sample = AlignSample(1, 1, note=str(error))
+                sample = AlignSample(*self._frame_px, note=str(error))
+            self._frame_px = sample.frame_width_px, sample.frame_height_px
             taken += 1
             yield Seen(sample, self._feed.push(sample), self._pattern)
 
@@ -144,7 +155,12 @@ class Aligner:
         """Measure a frame of the dot; one during which the panel was switched shows neither pattern."""
         if shown != self._pattern:
             return only_show(image, "a new pattern")
-        return look(image, exposure) if shown == "dot" else only_show(image, shown)
+        if shown != "dot":
+            return only_show(image, shown)
+        sample = look(image, exposure)
+        if self._panel_scale is None or image.pixel_pitch_mm is None:
+            return sample
+        return replace(sample, panel_mm_per_px=self._panel_scale(image.pixel_pitch_mm))
 
     def _adjust(self, image: LinearImage) -> None:
         """Expose the next frame so that what the panel shows is bright and nowhere saturated."""

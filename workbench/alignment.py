@@ -32,6 +32,12 @@ def preview_image(jpeg: bytes) -> LinearImage | None:
     return LinearImage(planes, rgb.max(axis=2) >= _JPEG_WHITE, "linear", None, FrameInfo("live view", ""))
 
 
+def panel_mm_per_px(pitch_mm: float, depth_mm: float, focal_length_mm: float, focus_mm: float | None) -> float:
+    """What a pixel covers on a panel, mm, by the chief rays of a thin lens focused at ``focus_mm`` (None: infinity)."""
+    image_mm = focal_length_mm if focus_mm is None else focal_length_mm * focus_mm / (focus_mm - focal_length_mm)
+    return pitch_mm * depth_mm / image_mm
+
+
 def look(image: LinearImage, exposure: Exposure | None) -> AlignSample:
     """Measure the point in one frame.
 

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 
 from rigs.browser_panel import BrowserPanel, BrowserPanelSettings
@@ -120,6 +120,29 @@ def simulated_scene_truth(config: RigConfig) -> SceneTruth:
     return scene_truth(scene, simulated_world(config).sensor.shape)
 
 
+@contextmanager
+def open_camera_and_panel(config: RigConfig, *, tell: Tell, frames: FrameReader) -> Iterator[tuple[Camera, Panel]]:
+    """Open what is needed to look at the panel where it stands; both are closed in the end.
+
+    Raises
+    ------
+    RigError
+        A device is missing, busy or wrong.
+    """
+    opening = Opening(config, tell, frames)
+    with ExitStack() as opened:
+        camera = open_camera(opening)
+        opened.callback(_closed, camera)
+        panel = open_panel(opening)
+        opened.callback(_closed, panel)
+        yield camera, panel
+
+
+def _closed(device: Camera | Stage | Panel) -> None:
+    with suppress(RigError):
+        device.close()
+
+
 def open_rig(
     config: RigConfig, *, tell: Tell, frames: FrameReader | None = None, news: DeviceNews | None = None
 ) -> Rig:
@@ -145,8 +168,7 @@ def open_rig(
         panel = open_panel(opening)
     except BaseException:
         for device in reversed(opened):
-            with suppress(RigError):
-                device.close()
+            _closed(device)
         raise
     depth = config.stage.depth
     return Rig(camera, stage, panel, DepthAxis(depth.offset_mm, depth.sign, depth.scale))

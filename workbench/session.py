@@ -93,6 +93,10 @@ class StopRequest:
         finally:
             signal.signal(signal.SIGINT, before)
 
+    def withdraw(self) -> None:
+        """It was heard, and what it should end has ended."""
+        self._asked = False
+
     def check(self) -> None:
         """Raise KeyboardInterrupt if one was asked for."""
         if self._asked:

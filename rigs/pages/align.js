@@ -100,7 +100,8 @@
     byId("others").textContent = findings.slice(1).map((finding) => capital(finding.text)).join("  ·  ");
     const side = (value, low, high) => Math.floor(Math.abs(value) + 0.5) + " " + (value < 0 ? low : high);
     const offset = sample.offset_px;
-    tile("offset", pixels(sample.distance_px), offset ? side(offset[0], "left", "right") + ", " + side(offset[1], "up", "down") : sample.note, level(["centre", "point"]));
+    const onPanel = sample.offset_mm ? " · panel " + pixels(Math.hypot(...sample.offset_mm)) + " mm" : "";
+    tile("offset", pixels(sample.distance_px), offset ? side(offset[0], "left", "right") + ", " + side(offset[1], "up", "down") + onPanel : sample.note, level(["centre", "point"]));
     tile("peak", sample.peak === null ? "–" : number(100 * sample.peak, 0), exposureText(sample), level(["exposure"]));
     tile("width", number(sample.width_px, 1), narrowest === null ? "" : "narrowest " + number(narrowest, 1), level(["focus"]));
     tile("saturated", String(sample.saturated_px), sample.saturated_px ? "white is reached" : "none at white", sample.saturated_px ? "bad" : "good");
@@ -108,7 +109,7 @@
     spark("peak", history.map((point) => point.peak), tolerance.peak[1], 1);
     spark("width", history.map((point) => point.width_px), narrowest);
     spark("saturated", history.map((point) => point.saturated_px), null);
-    byId("caption").textContent = (sample.centroid_px ? "Point at " + sample.centroid_px.map((v) => v.toFixed(1)).join(", ") + " in a frame of " : "Frame of ") +
+    byId("caption").textContent = !sample.frame_width_px ? "No frame · " + sample.note : (sample.centroid_px ? "Point at " + sample.centroid_px.map((v) => v.toFixed(1)).join(", ") + " in a frame of " : "Frame of ") +
       sample.frame_width_px + " × " + sample.frame_height_px + " px" + (sample.note ? " · " + sample.note : "");
     showPictureAgain();
   }
@@ -186,7 +187,7 @@
 
   function showPictureAgain() {
     const { pen, width, height, ratio } = fitted(byId("image"));
-    if (!latest) return;
+    if (!latest || !latest.sample.frame_width_px) return;
     const { sample, tolerance } = latest;
     const [left, top, across, down] = sample.crop_px || [0, 0, sample.frame_width_px, sample.frame_height_px];
     const scale = Math.min(width / across, height / down);

@@ -8,6 +8,7 @@ from typing import Literal
 
 import numpy as np
 
+from rigs.errors import LimitError
 from rigs.protocols import Pattern
 from rigs.simulated.lens import SEVEN, Lens, Pupil
 from rigs.simulated.panel_view import PanelSurface, View, panel_light
@@ -19,6 +20,8 @@ _TABLET = PanelSurface()
 Preset = Literal["small", "eos650d"]
 PRESET_SHAPES: dict[str, tuple[int, int]] = {"small": (1024, 1536), "eos650d": (3456, 5184)}
 """Photosites (height, width); ``small`` is the middle of the same sensor, with the same photosites."""
+
+_NEAREST_MM = 200.0
 
 
 @dataclass(frozen=True)
@@ -152,8 +155,19 @@ class SimulatedWorld:
         return View(depth, x, y, s.ambient)
 
     def light(self) -> FloatImage:
-        """Light on the sensor now, float32 (height, width), for :func:`sensor.expose`; kept for repeats."""
+        """Light on the sensor now, float32 (height, width), for :func:`sensor.expose`; kept for repeats.
+
+        Raises
+        ------
+        LimitError
+            The panel stands in the lens.
+        """
         view = self.view()
+        if self.subject == "panel" and view.depth_mm < _NEAREST_MM:
+            raise LimitError(
+                f"stage: the simulated panel stands {view.depth_mm / 10:.1f} cm from the lens, nearer than "
+                f"{_NEAREST_MM / 10:g} cm; move it away, or correct stage.depth.offset in rig.yaml"
+            )
         key = (self.subject, self.pattern, view) if self.subject == "panel" else (self.subject, None, None)
         if self._last is None or self._last[0] != key:
             self._last = None  # a full frame is large: let go of the old one before the new one is made

@@ -87,6 +87,23 @@ def test_page_opened_late_shows_the_newest_sample_at_once(served, feed, open_pag
     page.get_by_text("narrowest 7.0").wait_for(timeout=5000)
 
 
+def test_frame_that_failed_shows_why_and_keeps_the_picture(served, feed, open_page):
+    page = open_page(served[0].urls()[0])
+    feed.push(sample(panel_mm_per_px=0.5, centroid_px=(900.0, 396.0)))
+    page.get_by_text("200 mm on the panel").first.wait_for(timeout=5000)
+    feed.push(AlignSample(0, 0, note="camera: did not release"))
+    page.get_by_text("No frame · camera: did not release").wait_for(timeout=5000)
+
+
+def test_what_the_panel_shows_is_marked_from_the_beginning(feed, open_page):
+    server = AlignServer(AlignSettings(port=0), feed, {"Dot": lambda: None, "White": lambda: None}, active="White")
+    try:
+        page = open_page(server.urls()[0])
+        page.locator("button[aria-pressed=true]", has_text="White").wait_for(timeout=5000)
+    finally:
+        server.close()
+
+
 def test_old_numbers_are_called_old(served, feed, open_page):
     feed.push(sample())
     page = open_page(served[0].urls()[0])

@@ -2,10 +2,17 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import pytest
 from command_line import call, done
+
+from calibration.raw import develop
+from rigs.protocols import Exposure, Pattern
+from rigs.simulated.rig import make_rig
+from rigs.simulated.world import SimulatedRigSettings
+from workbench.alignment import look, panel_mm_per_px
 
 
 @pytest.fixture(scope="module")
@@ -31,6 +38,47 @@ def test_the_point_is_narrowest_at_the_focus(project: Path) -> None:
         result = done("-C", project, "align", "--at", depth, "--frames", "3", "--port", "0", "--json")
         widths[depth] = result.objects[-1]["width_px"]
     assert widths["160cm"] < 4 < widths["250cm"] < widths["100cm"]
+
+
+def test_distance_on_the_panel_is_what_the_dot_was_moved_by(tmp_path: Path) -> None:
+    """The scale is the estimator's thin lens; the frames are the simulator's."""
+    settings = SimulatedRigSettings()
+    rig = make_rig(settings)
+    rig.stage.home()
+    rig.stage.move_to_mm(2000.0)
+    depth_mm = settings.stage_offset_mm + settings.stage_zero_mm + 2000.0
+    centroids = []
+    for x_px in (0.0, 150.0):
+        rig.panel.show(Pattern("dot", size_px=4.0, x_px=x_px))
+        sample = look(develop(rig.camera.capture(Exposure(1.0, 100), tmp_path / f"{x_px:g}.dng").path), None)
+        assert sample.centroid_px is not None
+        centroids.append(sample.centroid_px[0])
+    scale = panel_mm_per_px(0.0086, depth_mm, 50.0, 1600.0)
+    assert (centroids[1] - centroids[0]) * scale == pytest.approx(150.0 * settings.surface.pitch_mm, rel=0.01)
+
+
+def test_distance_on_the_panel_needs_its_depth(project: Path) -> None:
+    here = done("-C", project, "align", "--at", "200cm", "--frames", "2", "--port", "0", "--json").objects[-1]
+    assert here["offset_mm"][0] == pytest.approx(here["offset_px"][0] * 0.332, rel=0.05, abs=0.01)
+    anywhere = done("-C", project, "align", "--frames", "2", "--port", "0", "--json").objects[-1]
+    assert anywhere["offset_px"]
+    assert anywhere["offset_mm"] is None
+
+
+def test_stage_is_left_alone_unless_a_depth_is_given(project: Path, tmp_path: Path) -> None:
+    text = (project / "rig.yaml").read_text()
+    lab = tmp_path / "lab"
+    done("init", lab)
+    stage = "stage:\n  kind: grbl\n  port: /dev/no-such-port\n  depth:\n    offset: 200 cm\n"
+    (lab / "rig.yaml").write_text(re.sub(r"stage:\n(?: .*\n|\n)*", stage, text, count=1))
+    done("-C", lab, "align", "--frames", "1", "--port", "0")
+    assert "no-such-port" in call("-C", lab, "align", "--at", "1m", "--frames", "1", "--port", "0").err
+
+
+def test_exposure_that_the_camera_does_not_offer_is_said(project: Path) -> None:
+    result = done("-C", project, "align", "--exposure", "0.07s", "--frames", "1", "--port", "0", "--json")
+    assert "offers no 0.07 s; taking 1/15 s" in result.err
+    assert result.only["exposure_s"] == pytest.approx(1 / 15, rel=0.01)
 
 
 def test_fixed_exposure_is_kept_and_its_fault_named(project: Path) -> None:

@@ -4,13 +4,21 @@ from __future__ import annotations
 
 import math
 import tempfile
+from collections.abc import Callable
+from contextlib import ExitStack
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from workbench.cli.common import LENGTH, Context, command_options
 from workbench.cli.doctor import DurationParam
+from workbench.units import exposure_text
+
+if TYPE_CHECKING:
+    from rigs.protocols import Camera, Panel
+    from workbench.config import RigConfig
+    from workbench.frame_reader import FrameReader
 
 
 @click.command()
@@ -31,7 +39,6 @@ def align(
     from rigs.align_feed import AlignFeed
     from rigs.align_server import AlignServer, AlignSettings
     from workbench.align import Aligner
-    from workbench.devices import open_rig
     from workbench.frame_reader import FrameReader
     from workbench.planning import make_plan
     from workbench.session import StopRequest
@@ -41,35 +48,56 @@ def align(
     reader = FrameReader(config.camera.pixel_pitch_mm)
     dot = make_plan(config).dots[0]
     feed = AlignFeed()
-    with (
-        project.lock_rig(),
-        tempfile.TemporaryDirectory(prefix="workbench-align-") as scratch,
-        open_rig(config, tell=context.note, frames=reader) as rig,
-    ):
-        if at_mm is not None:
-            rig.check_reach((at_mm,))
-            if not rig.stage.homed():
-                context.note("stage: finding its reference")
-                rig.stage.home()
-            rig.stage.move_to_mm(rig.axis.position_mm(at_mm))
+    stop = StopRequest()
+    with ExitStack() as opened:
+        opened.enter_context(project.lock_rig())
+        scratch = Path(opened.enter_context(tempfile.TemporaryDirectory(prefix="workbench-align-")))
+        opened.enter_context(stop.heard())
+        camera, panel = _open_devices(opened, context, config, reader, at_mm)
         aligner = Aligner(
-            rig.camera, rig.panel, dot, feed, reader.read, Path(scratch),
+            camera, panel, dot, feed, reader.read, scratch,
             exposure_s=exposure_s, iso=config.camera.iso, live_view=live_view,
+            panel_scale=None if at_mm is None else _panel_scale(config, at_mm),
         )  # fmt: skip
-        server = AlignServer(AlignSettings(config.panel.host, port, config.panel.token), feed, aligner.actions())
+        if exposure_s is not None and not math.isclose(aligner.exposure_s, exposure_s, rel_tol=0.02):
+            context.note(f"exposure: the camera offers no {exposure_s:g} s; taking {exposure_text(aligner.exposure_s)}")
+        settings = AlignSettings(config.panel.host, port, config.panel.token)
+        server = AlignServer(settings, feed, aligner.actions(), active=pattern.capitalize())
+        opened.callback(server.close)
+        context.note(f"open {server.urls()[0]} in a browser; Ctrl-C ends")
         try:
-            context.note(f"open {server.urls()[0]} in a browser; Ctrl-C ends")
-            stop = StopRequest()
-            with stop.heard():
-                aligner.show(pattern)
-                for seen in aligner.looks(count):
-                    context.emit(_as_json(seen))
-                    context.say(_line(seen))
-                    stop.check()
+            aligner.show(pattern)
+            for seen in aligner.looks(count):
+                context.emit(_as_json(seen))
+                context.say(_line(seen))
+                stop.check()
         except KeyboardInterrupt:
+            stop.withdraw()
             context.note("ended")
-        finally:
-            server.close()
+
+
+def _open_devices(
+    opened: ExitStack, context: Context, config: RigConfig, reader: FrameReader, at_mm: float | None
+) -> tuple[Camera, Panel]:
+    """Camera and panel; the stage too, moved, where a depth is given, and left alone where not."""
+    from workbench.devices import open_camera_and_panel, open_rig
+
+    if at_mm is None:
+        return opened.enter_context(open_camera_and_panel(config, tell=context.note, frames=reader))
+    rig = opened.enter_context(open_rig(config, tell=context.note, frames=reader))
+    rig.check_reach((at_mm,))
+    if not rig.stage.homed():
+        context.note("stage: finding its reference")
+        rig.stage.home()
+    rig.stage.move_to_mm(rig.axis.position_mm(at_mm))
+    return rig.camera, rig.panel
+
+
+def _panel_scale(config: RigConfig, depth_mm: float) -> Callable[[float], float]:
+    from workbench.alignment import panel_mm_per_px
+
+    optics = config.optics
+    return lambda pitch_mm: panel_mm_per_px(pitch_mm, depth_mm, optics.focal_length_mm, optics.focus_mm)
 
 
 def _line(seen: Any) -> str:
@@ -79,6 +107,9 @@ def _line(seen: Any) -> str:
     parts = [f"{seen.pattern:<10}"]
     if offset is not None:
         parts.append(f"off centre {offset[0]:+7.1f} {offset[1]:+7.1f} px")
+    on_panel = sample.offset_mm()
+    if on_panel is not None:
+        parts.append(f"= {on_panel[0]:+6.1f} {on_panel[1]:+6.1f} mm")
     if sample.width_px is not None:
         parts.append(f"width {sample.width_px:6.2f} px")
     if sample.peak is not None:
@@ -92,9 +123,10 @@ def _as_json(seen: Any) -> dict[str, Any]:
     offset = sample.offset_px()
     return {
         "pattern": seen.pattern,
-        "frame_px": [sample.frame_width_px, sample.frame_height_px],
+        "frame_px": [sample.frame_width_px, sample.frame_height_px] if sample.frame_width_px else None,
         "centroid_px": sample.centroid_px,
         "offset_px": offset,
+        "offset_mm": sample.offset_mm(),
         "distance_px": None if offset is None else math.hypot(*offset),
         "peak": sample.peak,
         "saturated_px": sample.saturated_px,
