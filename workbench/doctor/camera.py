@@ -15,7 +15,7 @@ from rigs.gphoto2_config import Gphoto2Settings
 from rigs.gphoto2_process import WORKER_COMMAND
 from workbench.config import CameraConfig
 from workbench.devices import gphoto2_settings
-from workbench.doctor.camera_facts import CAMERA, Demand, facts_findings, pixel_pitch_finding
+from workbench.doctor.camera_facts import CAMERA, Demand, bank_finding, facts_findings, pixel_pitch_finding
 from workbench.doctor.findings import Finding
 from workbench.doctor.processes import camera_programs, desktop_mounts
 
@@ -35,7 +35,12 @@ def cameras_in_sight(*, needed: bool) -> tuple[list[Finding], tuple[str, ...]]:
 
 
 def camera_findings(
-    config: CameraConfig, demand: Demand, in_sight: Sequence[str], *, programs: Sequence[str]
+    config: CameraConfig,
+    demand: Demand,
+    in_sight: Sequence[str],
+    *,
+    programs: Sequence[str],
+    bank_made_with: tuple[str, str] = ("", ""),
 ) -> list[Finding]:
     """Check the camera that rig.yaml names.
 
@@ -49,6 +54,8 @@ def camera_findings(
         Cameras that are plugged in (see :func:`cameras_in_sight`).
     programs
         Names of running programs (see :func:`workbench.doctor.processes.running`).
+    bank_made_with
+        Make and model in the active bank's frames.
     """
     if config.kind == "simulated":
         if in_sight:
@@ -59,7 +66,8 @@ def camera_findings(
     facts, found = usb_camera_findings(settings, demand, now=datetime.now(), programs=programs)
     if facts is None:
         return [*found, *permission_findings(in_sight)]
-    return [*found, pixel_pitch_finding(config.pixel_pitch_mm, facts)]
+    fits = bank_finding(bank_made_with, facts)
+    return [*found, pixel_pitch_finding(config.pixel_pitch_mm, facts), *([] if fits is None else [fits])]
 
 
 def permission_findings(in_sight: Sequence[str], bus: Path = Path("/dev/bus/usb")) -> list[Finding]:

@@ -52,6 +52,32 @@ class Demand:
     iso: int
 
 
+def bank_finding(made_with: tuple[str, str], facts: Mapping[str, str]) -> Finding | None:
+    """Whether photographs of this camera can be measured with the active bank; None where nobody can tell.
+
+    Parameters
+    ----------
+    made_with
+        Make and model in the bank's frames; empty: not known, or no bank.
+    facts
+        What the camera said.
+    """
+    theirs, ours = known_camera("", _plain_name(facts)), known_camera(*made_with)
+    simulated = made_with[1].startswith("Simulated")
+    if not simulated and (theirs is None or ours is None):
+        return None
+    name = " ".join(made_with) if not made_with[1].startswith(made_with[0]) else made_with[1]
+    if not simulated and theirs == ours:
+        return CAMERA.ok("bank", f"the active bank was made with {name}")
+    seen = f"the active bank was made with {name}: photographs of this camera will be refused"
+    return CAMERA.warning("bank", seen, "`workbench calibrate` makes one with it, or activate one that was")
+
+
+def _plain_name(facts: Mapping[str, str]) -> str:
+    """A camera's name as its files spell it."""
+    return facts["identified_as"].replace(" DSC ", " ")
+
+
 def facts_findings(
     facts: Mapping[str, str], settings: Gphoto2Settings, demand: Demand, *, now: datetime
 ) -> list[Finding]:
@@ -245,7 +271,7 @@ def _clock(facts: Mapping[str, str], now: datetime) -> Finding | None:
 
 def pixel_pitch_finding(given_mm: float | None, facts: Mapping[str, str]) -> Finding:
     """Whether the photosite pitch that rig.yaml gives (mm) is that of the camera, as far as the camera is known."""
-    known = known_camera("", facts["identified_as"].replace(" DSC ", " "))
+    known = known_camera("", _plain_name(facts))
     if known is None:
         if given_mm is None:
             mend = "set camera.pixel_pitch, in case its RAW files don't state it"

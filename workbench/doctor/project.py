@@ -32,6 +32,16 @@ def plan_finding(plan: Plan, cost: PlanCost) -> Finding:
     )
 
 
+def bank_made_with(project: Project) -> tuple[str, str]:
+    """Make and model of the camera that the active bank was made with; empty where that isn't known."""
+    try:
+        entry = read_registry(project.banks).active
+        camera = {} if entry is None else open_bank(project, entry.id)[0].manifest.get("camera", {})
+    except (BankError, OSError):  # said by the bank's own finding
+        camera = {}
+    return str(camera.get("make") or ""), str(camera.get("model") or "")
+
+
 def _devices(config: RigConfig) -> list[Finding]:
     kinds = {"camera": config.camera.kind, "stage": config.stage.kind, "panel": config.panel.kind}
     simulated = [name for name, kind in kinds.items() if kind == "simulated"]

@@ -8,7 +8,7 @@ from datetime import datetime
 import pytest
 
 from rigs.gphoto2_config import Gphoto2Settings
-from workbench.doctor.camera_facts import Demand, facts_findings, pixel_pitch_finding
+from workbench.doctor.camera_facts import Demand, bank_finding, facts_findings, pixel_pitch_finding
 from workbench.doctor.findings import Finding
 
 FACTS = {
@@ -118,3 +118,18 @@ def test_pitch_of_another_camera_in_rig_yaml_is_noticed() -> None:
     unknown = FACTS | {"identified_as": "Pentax K-5"}
     assert pixel_pitch_finding(None, unknown).severity.word == "note"
     assert pixel_pitch_finding(0.0048, unknown).severity.word == "ok"
+
+
+@pytest.mark.parametrize(
+    ("made_with", "word"),
+    [
+        (("Canon", "Canon EOS 650D"), "ok"),
+        (("NIKON CORPORATION", "NIKON D750"), "warning"),
+        (("Depth Workbench", "Simulated small"), "warning"),
+        (("", ""), None),
+        (("Pentax", "K-5"), None),
+    ],
+)
+def test_bank_of_another_camera_is_named(made_with: tuple[str, str], word: str | None) -> None:
+    found = bank_finding(made_with, FACTS)
+    assert (found.severity.word if found else None) == word
