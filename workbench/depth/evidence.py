@@ -11,7 +11,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,7 @@ from calibration.bank import Bank
 from calibration.image import LinearImage
 from workbench.depth.estimate import DepthEstimate, Status
 from workbench.depth.evidence_colour import informative_mixture
+from workbench.depth.evidence_doubt import doubted, unless_another_blur_fits
 from workbench.depth.evidence_model import DepthModel, EvidenceOptions, Learned, learned_of, prepare
 from workbench.depth.evidence_posterior import Refined, find_modes, mode_scores, signed_posterior, summarise
 from workbench.depth.evidence_side import sparseness
@@ -266,32 +267,5 @@ def _conclude(
     }
     estimate = summarise(sigma, log_post, int(seen.pixels), model, learned, options, diagnostics)
     if seen.varied > options.varied_log_likelihood or seen.parted > options.parts_log_likelihood:
-        return _doubted(estimate, "its blur is not the same all over: a slanted surface, or several depths")
-    return _unless_another_blur_fits(estimate, likelihood, modes, model, options)
-
-
-def _unless_another_blur_fits(
-    estimate: DepthEstimate, likelihood: FloatArray, modes: list[int], model: DepthModel, options: EvidenceOptions
-) -> DepthEstimate:
-    """Call an estimate ambiguous where the spectrum alone hardly prefers its blur to quite another one."""
-    if estimate.status != "ok":
-        return estimate
-    chosen = abs(model.psfs.radius_px(estimate.depth_mm))
-    radius = np.abs(model.row_radius_px)
-    near = np.abs(radius - chosen) <= 1.0
-    own = float(likelihood[near].max()) if near.any() else float(likelihood.max())
-    for row in modes:
-        low, high = sorted((float(radius[row]) + 0.5, chosen + 0.5))
-        apart = high / low > options.close_ratio and high - low > 2.0
-        if apart and likelihood[row] > own - options.close_log_likelihood:
-            side = float(np.sign(model.psfs.radius_px(estimate.depth_mm)) or 1.0)
-            if not model.sides_in_reach[row, 0 if side > 0 else 1]:
-                side = -side
-            other = model.depth_mm(side * float(radius[row]))
-            return _doubted(estimate, f"its spectrum fits the blur of {other / 10:.0f} cm nearly as well")
-    return estimate
-
-
-def _doubted(estimate: DepthEstimate, reason: str) -> DepthEstimate:
-    """The same estimate, called ambiguous."""
-    return replace(estimate, status="ambiguous", confidence=0.5 * estimate.confidence, reason=reason)
+        return doubted(estimate, "its blur is not the same all over: a slanted surface, or several depths")
+    return unless_another_blur_fits(estimate, likelihood, modes, (far, near), model, options)

@@ -123,8 +123,9 @@ def summarise(
     centre = float((share * sigma[first:last]).sum())
     depth = model.depth_mm(centre)
     low, high = _hull(density, 0.95)
-    interval = tuple(sorted(model.depth_mm(float(np.clip(s, sigma[0], sigma[-1])))
-                            for s in (sigma[low] - step / 2, sigma[high] + step / 2)))  # fmt: skip
+    # at the end of the bank's reach the depth is known no better than elsewhere
+    ends = np.clip([sigma[low] - step / 2, sigma[high] + step / 2], sigma[0] - 2 * se, sigma[-1] + 2 * se)
+    interval = sorted(model.depth_mm(float(end)) for end in ends)
     mirror, mirror_probability = float("nan"), 0.0
     if abs(centre) > 2 * se and sigma[0] <= -centre <= sigma[-1]:
         mirror = model.depth_mm(-centre)

@@ -1,0 +1,80 @@
+"""What makes an answer ambiguous besides its posterior, and what its interval then holds."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from workbench.depth.estimate import DepthEstimate
+from workbench.depth.evidence_model import DepthModel, EvidenceOptions
+
+FloatArray = NDArray[np.float64]
+
+_SAME_PX, _APART_PX = 1.0, 2.0
+_OPEN_SIDE = 3.0
+"""A side of focus stays open if sparseness speaks against it by less than so many nats."""
+_RIVAL_PX = 0.5
+"""Standard errors or not, a rival blur is known to half a pixel."""
+
+
+def doubted(estimate: DepthEstimate, reason: str) -> DepthEstimate:
+    """The same estimate, called ambiguous."""
+    return replace(estimate, status="ambiguous", confidence=0.5 * estimate.confidence, reason=reason)
+
+
+def unless_another_blur_fits(
+    estimate: DepthEstimate,
+    likelihood: FloatArray,
+    modes: Sequence[int],
+    sides: tuple[FloatArray, FloatArray],
+    model: DepthModel,
+    options: EvidenceOptions,
+) -> DepthEstimate:
+    """Call an estimate ambiguous where the spectrum alone hardly prefers its blur to quite another one.
+
+    Parameters
+    ----------
+    estimate
+        What the posterior says.
+    likelihood
+        float64 (D,): log-likelihood of the spectrum for each of the model's rows.
+    modes, sides
+        Rows of its local maxima, and what sparseness adds to each on the far and on the near side.
+    model, options
+        Rows' radii; what counts as close.
+
+    Returns
+    -------
+    DepthEstimate
+        The same, or ambiguous with an interval that holds the rivals on the sides that stay open.
+    """
+    if estimate.status != "ok":
+        return estimate
+    radius = np.abs(model.row_radius_px)
+    chosen = abs(model.psfs.radius_px(estimate.depth_mm))
+    near = np.abs(radius - chosen) <= _SAME_PX
+    own = float(likelihood[near].max()) if near.any() else float(likelihood.max())
+    rivals: list[float] = []
+    for index, row in enumerate(modes):
+        low, high = sorted((float(radius[row]) + 0.5, chosen + 0.5))
+        apart = high / low > options.close_ratio and high - low > _APART_PX
+        if apart and likelihood[row] > own - options.close_log_likelihood:
+            rivals += _signed(float(radius[row]), sides[0][index], sides[1][index], model.sides_in_reach[row])
+    if not rivals:
+        return estimate
+    ends = [model.depth_mm(sigma + step) for sigma in rivals for step in (-_RIVAL_PX, _RIVAL_PX)]
+    reach = float(model.depths_mm[0]), float(model.depths_mm[-1])
+    held = [min(max(end, reach[0]), reach[1]) if end > 0 else reach[1] for end in ends]
+    low_mm, high_mm = estimate.interval_mm
+    wider = replace(estimate, interval_mm=(min(low_mm, *held), max(high_mm, *held)))
+    return doubted(wider, f"its spectrum fits the blur of {model.depth_mm(rivals[0]) / 10:.0f} cm nearly as well")
+
+
+def _signed(radius: float, far: float, near: float, in_reach: NDArray[np.bool_]) -> list[float]:
+    """Signed radii of a rival, likelier side first; the less likely one only where it stays open."""
+    scores = [(far, radius, bool(in_reach[0])), (near, -radius, bool(in_reach[1]))]
+    open_sides = sorted(((score, sigma) for score, sigma, reachable in scores if reachable), reverse=True)
+    return [sigma for score, sigma in open_sides if score > open_sides[0][0] - _OPEN_SIDE]
