@@ -32,7 +32,7 @@ from workbench.depth.evidence_spectrum import (
     smeared_power,
 )
 from workbench.depth.evidence_uniform import mixture_gain, parts_loss
-from workbench.depth.evidence_windows import Pooled, Window, place_windows, pooled_periodogram, soft_mask
+from workbench.depth.evidence_windows import Pooled, Window, clear_share, place_windows, pooled_periodogram, soft_mask
 
 __all__ = [
     "DepthModel",
@@ -49,6 +49,8 @@ Mask = NDArray[np.bool_]
 
 _RAMP_PX = 12.0
 _SHAPELESS_PX = 1.5
+_EDGE_TRUST = 0.35
+"""What the comparison of the sides counts where all of the region lies within two radii of its edge."""
 _REFINED_STEPS, _REFINED_FINER, _REFINED_FISHER_STEPS = 2, 3, 5
 _REFINED_WITHIN, _NARROW = 30.0, 5.0
 _ENOUGH = 0.7
@@ -98,6 +100,8 @@ class Observation:
     pooled: Pooled
     soft: NDArray[np.float32]
     """The region with a soft edge, 1 inside; float32 (H, W)."""
+    clear: NDArray[np.float32]
+    """Distance (px) of its pixels from its edge; float32 (H, W)."""
     fit: SpectralFit
     pixels: float
     """Pixels' worth of information: sum of the squared tapers' weights."""
@@ -115,7 +119,7 @@ def observe(plane: NDArray[np.float32], mask: Mask, model: DepthModel, options: 
     """Pool the region's windows and fit every blur; None where no window fits."""
     margin = min(options.margin_px, options.margin * float(np.sqrt(mask.sum())))
     size = options.window_px
-    soft = soft_mask(mask, margin_px=margin, ramp_px=_RAMP_PX)
+    soft, clear = soft_mask(mask, margin_px=margin, ramp_px=_RAMP_PX)
     while True:
         windows = place_windows(mask, soft, size, least_weight=options.least_weight)
         if sum(w.weight for w in windows) >= _ENOUGH:
@@ -132,6 +136,7 @@ def observe(plane: NDArray[np.float32], mask: Mask, model: DepthModel, options: 
         windows,
         pooled,
         soft,
+        clear,
         fit,
         max(pixels, size * size * windows[0].weight),
         _low_share(pooled.power, fit),
@@ -205,8 +210,10 @@ def side_features(
     sparse = sparseness(plane, seen.soft, chosen, psfs, seen.fit.coefficients[row], float(seen.fit.log_noise[row]))
     # next to focus the lens's own spot hides the aperture's shape, and with it the side
     shown = -np.expm1(-((radius / _SHAPELESS_PX) ** 2))
+    # near the edge a restoration lacks what the blur carried out of the region
+    trust = min(1.0, _EDGE_TRUST + clear_share(seen.clear, chosen, 2.0 * radius))
     middle = sparse.mean(axis=0)
-    return np.asarray(middle + shown * (sparse - middle))
+    return np.asarray(middle + shown * trust * (sparse - middle))
 
 
 def measure_region(

@@ -107,20 +107,46 @@ def place_windows(mask: Mask, soft: NDArray[np.float32], size: int, *, least_wei
     return sorted(windows, key=lambda w: -w.weight)
 
 
-def soft_mask(mask: Mask, *, margin_px: float, ramp_px: float) -> NDArray[np.float32]:
-    """0 up to ``margin_px`` from a region's edge (the frame's border is none), then a smooth step to 1 in ``ramp_px``.
+def soft_mask(mask: Mask, *, margin_px: float, ramp_px: float) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """A region with a soft edge, and how far inside it each pixel lies.
 
-    float32 (H, W).
+    Parameters
+    ----------
+    mask
+        bool (H, W).
+    margin_px, ramp_px
+        0 up to the margin from the region's edge (the frame's border is none), then a smooth step to 1.
+
+    Returns
+    -------
+    soft, clear
+        float32 (H, W) each: 0 to 1; and the distance (px) to the region's edge or the frame's border, 0 outside.
     """
-    soft = np.zeros(mask.shape, np.float32)
+    soft, clear = np.zeros(mask.shape, np.float32), np.zeros(mask.shape, np.float32)
     rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
     if rows.size:
         # with a ring of one pixel about the region: nothing outside is nearer than what lies on it
         box = slice(max(rows[0] - 1, 0), rows[-1] + 2), slice(max(columns[0] - 1, 0), columns[-1] + 2)
-        inside = edge_distance(mask[box]) - np.float32(margin_px)
-        share = np.clip(inside / np.float32(max(ramp_px, 1e-6)), np.float32(0.0), np.float32(1.0))
-        soft[box] = np.where(mask[box], share * share * (3.0 - 2.0 * share), 0.0)
-    return soft
+        distance = np.where(mask[box], edge_distance(mask[box]), np.float32(0.0))
+        share = np.clip((distance - np.float32(margin_px)) / np.float32(max(ramp_px, 1e-6)), np.float32(0.0), 1.0)
+        soft[box] = share * share * (3.0 - 2.0 * share)
+        to_border = [
+            np.minimum(np.arange(length)[part] + 1, length - np.arange(length)[part]).astype(np.float32)
+            for length, part in zip(mask.shape, box, strict=True)
+        ]
+        clear[box] = np.minimum(distance, np.minimum(to_border[0][:, np.newaxis], to_border[1]))
+    return soft, clear
+
+
+def clear_share(clear: NDArray[np.float32], windows: Sequence[Window], reach_px: float) -> float:
+    """Share of the windows' squared tapers that lies farther inside than ``reach_px`` (:func:`soft_mask`)."""
+    inside = total = 0.0
+    for window in windows:
+        weight = window.taper.astype(np.float64) ** 2
+        size = weight.shape[0]
+        inside += float(weight[cut_out(clear, window.row, window.column, size, size) > reach_px].sum())
+        total += float(weight.sum())
+    return inside / total
 
 
 def _holes(cut: NDArray[np.float32]) -> bool:
