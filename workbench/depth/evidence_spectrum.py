@@ -35,6 +35,7 @@ _LOW, _STEP, _CELLS = -12.0, 0.125, 256
 """The likelihood is tabulated over log(I/n) and log(S k/n)."""
 _LEAST_LOG = -60.0
 """No single frequency may count more against a depth than this: the outlier floor."""
+_SMEARED_AT_ONCE = 8
 _AVERAGES = (1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 18.0, 27.0, 40.0)
 FIRST_CYCLE = 2.0
 """Frequencies with fewer cycles per window are left out: shading and the taper's main lobe."""
@@ -122,16 +123,20 @@ def smeared_power(kernel_lags: Float32, taper_lags: FloatArray, size: int) -> Fl
     -------
     float32 (D, N, N // 2 + 1).
     """
-    lags = kernel_lags * taper_lags.astype(np.float32)
-    reach = lags.shape[1] // 2
-    where = np.arange(-reach, reach + 1) % size
-    folded = np.zeros((lags.shape[0], size, lags.shape[2]), np.float32)
-    for i, row in enumerate(where):
-        folded[:, row] += lags[:, i]
-    square = np.zeros((lags.shape[0], size, size), np.float32)
-    for j, column in enumerate(where):
-        square[:, :, column] += folded[:, :, j]
-    return np.asarray(fft.rfft2(square, axes=(1, 2)).real, np.float32)
+    longest = kernel_lags.shape[1] // 2
+    reach = min(longest, size - 1)  # the taper has no longer lags
+    part = slice(longest - reach, longest + reach + 1)
+    taper = taper_lags[part, part].astype(np.float32)
+    power = np.empty((kernel_lags.shape[0], size, size // 2 + 1), np.float32)
+    # a few blurs at a time, as many as the processor's cache holds
+    unfolded = np.zeros((_SMEARED_AT_ONCE, 2 * size, 2 * size), np.float32)
+    middle = unfolded[:, size - reach : size + reach + 1, size - reach : size + reach + 1]
+    for first in range(0, len(power), _SMEARED_AT_ONCE):
+        count = min(_SMEARED_AT_ONCE, len(power) - first)
+        np.multiply(kernel_lags[first : first + count, part, part], taper, out=middle[:count])
+        rows = unfolded[:count, :size] + unfolded[:count, size:]
+        power[first : first + count] = fft.rfft2(rows[:, :, :size] + rows[:, :, size:], axes=(1, 2)).real
+    return power
 
 
 def mixed_power(expected: Float32, radius_px: FloatArray, spread_px: float) -> Float32:
