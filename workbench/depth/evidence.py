@@ -57,6 +57,9 @@ _ENOUGH = 0.7
 """Full windows' worth of region below which smaller windows are tried."""
 _LOW_CYCLES = 6.0
 _LEAST_LOW_SHARE, _MOST_LINE_SHARE = 0.25, 0.9
+_LOW_SHARE_WITH_LINES, _LINES = 0.85, 0.5
+"""A strict pattern by either share alone, or by both together: few lines hold half of the power, and between them low
+frequencies are empty."""
 
 
 def estimate_evidence(
@@ -238,10 +241,15 @@ def measure_region(
     gain = float(seen.fit.log_likelihood.max()) - seen.fit.null
     if gain < options.least_evidence:
         return _refused(model, "no-texture", pixels, "no texture above the noise")
-    if seen.low_share < _LEAST_LOW_SHARE or seen.line_share > _MOST_LINE_SHARE:
+    if _is_strict_pattern(seen):
         reason = "only isolated spatial frequencies stand above the noise (a strict pattern): any blur explains them"
         return _refused(model, "no-texture", pixels, reason)
     return _conclude(plane, seen, model, learned, options)
+
+
+def _is_strict_pattern(seen: Observation) -> bool:
+    has_lines = seen.line_share > _LINES and seen.low_share < _LOW_SHARE_WITH_LINES
+    return has_lines or seen.low_share < _LEAST_LOW_SHARE or seen.line_share > _MOST_LINE_SHARE
 
 
 def _refused(model: DepthModel, status: Status, pixels: int, reason: str) -> DepthEstimate:
@@ -272,7 +280,7 @@ def _conclude(
         "mode_radius_px": model.row_radius_px[modes],
         "mode_sparseness_far_near": np.stack([far, near]),
     }
-    estimate = summarise(sigma, log_post, int(seen.pixels), model, learned, options, diagnostics)
+    estimate = summarise(sigma, log_post, int(seen.pixels), seen.line_share, model, learned, options, diagnostics)
     if seen.varied > options.varied_log_likelihood or seen.parted > options.parts_log_likelihood:
         return doubted(estimate, "its blur is not the same all over: a slanted surface, or several depths")
     return unless_another_blur_fits(estimate, likelihood, modes, (far, near), model, options)

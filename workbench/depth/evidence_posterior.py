@@ -21,6 +21,9 @@ _FINER = 8
 _SOFTNESS_PX, _SOFTNESS_RANGE_PX = 0.25, 4.0
 """Close to focus a small blur and a texture that is itself a little soft or crisp look alike: standard error of the
 radius at focus, and the radius over which it falls to 1/e. Measured on generated textures."""
+_LINES_PX, _LINES_FROM = 0.45, 0.25
+"""A pattern's few spectral lines have heights of their own, which pass for blur: standard error of the radius per share
+of the texture's power that they hold beyond so much."""
 
 
 def mode_scores(sparse: FloatArray, mirrored: Mask, pixels: float, learned: Learned) -> tuple[FloatArray, FloatArray]:
@@ -98,19 +101,24 @@ def summarise(
     sigma: FloatArray,
     log_post: FloatArray,
     pixels: int,
+    line_share: float,
     model: DepthModel,
     learned: Learned,
     options: EvidenceOptions,
     diagnostics: dict[str, FloatArray],
 ) -> DepthEstimate:
-    """Depth, interval, mirror and status from a log posterior over signed radii (float64 (G,), even steps)."""
+    """Depth, interval, mirror and status from a log posterior over signed radii (float64 (G,), even steps).
+
+    ``line_share`` is the part of the texture's power in its strongest few frequencies.
+    """
     step = float(sigma[1] - sigma[0])
     density = np.exp(log_post - log_post.max())
     density /= density.sum()
     best = int(density.argmax())
     soft = _SOFTNESS_PX * float(np.exp(-abs(sigma[best]) / _SOFTNESS_RANGE_PX))
     lens = float(np.interp(sigma[best], model.sigma_px, model.sigma_se_px))
-    se = float(np.sqrt(learned.floor_px**2 + soft**2 + lens**2))
+    lines = _LINES_PX * max(0.0, line_share - _LINES_FROM)
+    se = float(np.sqrt(learned.floor_px**2 + soft**2 + lens**2 + lines**2))
     reach = int(np.ceil(4 * se / step))
     blur = np.exp(-0.5 * (np.arange(-reach, reach + 1) * step / se) ** 2)
     density = np.convolve(density, blur / blur.sum(), mode="same")

@@ -64,6 +64,17 @@ def test_strict_pattern_is_refused_rather_than_put_in_focus(bank: Bank) -> None:
     assert estimate_evidence(image, bank, whole(image.shape))[1].status != "ok"
 
 
+def test_woven_pattern_in_a_small_region_is_not_put_in_focus(bank: Bank) -> None:
+    """Over few pixels its lines are broad: neither their share of the power nor the emptiness between them suffices."""
+    y, x = np.mgrid[:SIDE, :SIDE]
+    warp, weft = np.sin(2 * np.pi * x / 11.0), np.sin(2 * np.pi * y / 11.0)
+    weave = 0.5 + 0.15 * np.where((x // 11 + y // 11) % 2 == 0, np.abs(warp), np.abs(weft))
+    image = photograph(weave, 2100.0)
+    labels = np.zeros(image.shape, np.int32)
+    labels[30:94, 30:94] = 1
+    assert estimate_evidence(image, bank, labels)[1].status == "no-texture"
+
+
 def test_saturated_region_is_refused(bank: Bank) -> None:
     image = photograph(leaves(SIDE, 5), 2000.0)
     image.saturated[:, :64] = True
