@@ -182,7 +182,7 @@ class GrblController:
             if not isinstance(reply, Status) or reply.state in ("Alarm", "Sleep", "Home"):
                 self.reset()
                 return False
-            if reply.held:
+            if reply.held or reply.parked:
                 return self.reset()
             if reply.state in ("Idle", "Check") and previous is not None and previous.state == reply.state:
                 return True
@@ -346,6 +346,11 @@ class GrblController:
             return status.machine
         if status.work is None or self._offset is None:
             raise ProtocolError("stage: a report without a position; set $10=1 in the controller")
+        if len(status.work) != len(self._offset):
+            self._offset = None  # whichever of the two lost a coordinate: ask for both again
+            raise ProtocolError(
+                "stage: its reports differ in their number of axes: check the cable for noise, try again"
+            )
         return tuple(work + offset for work, offset in zip(status.work, self._offset, strict=True))
 
     def drain(self, doing: str) -> None:

@@ -91,6 +91,11 @@ class Status:
         """Whether the motion has come to rest in a feed hold."""
         return self.state == "Hold" and self.substate in (0, None)
 
+    @property
+    def parked(self) -> bool:
+        """Whether the motion has come to rest since a safety door was opened."""
+        return self.state == "Door" and self.substate in (0, 1)
+
 
 Reply = Ok | Error | Alarm | Banner | Setting | Message | Other | Status
 
@@ -133,6 +138,8 @@ def _status(line: str) -> Status | None:
                 return None
             vectors[name] = tuple(float(number) for number in numbers)
     if "MPos" not in vectors and "WPos" not in vectors:
+        return None
+    if len({len(vector) for vector in vectors.values()}) > 1:  # a coordinate was lost on the way
         return None
     return Status(
         state=state,

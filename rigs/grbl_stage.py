@@ -383,10 +383,12 @@ class GrblStage:
         try:
             yield
         except StopRequestedError:
+            by_us = stops is None or self._stops != stops
             self._unsettled = True
             self._settle()
+            how = "stopped" if by_us else "paused by its feed hold (a button, or another program)"
             raise StoppedError(
-                f"stage: stopped while {doing}; "
+                f"stage: {how} while {doing}; "
                 + ("its position is still known" if self._known else "its position isn't known: home the stage")
             ) from None
         except (AlarmError, PositionLostError, ConnectionLostError) as error:
@@ -486,6 +488,9 @@ def _require_running(status: Status) -> None:
         raise AlarmError("stage: the controller went into alarm on the way; home the stage")
     if status.state == "Sleep":
         raise PositionLostError("stage: the controller fell asleep on the way: the position is lost; home the stage")
+    if status.state in ("Door", "Check", "Tool"):
+        kind, what, way_out = NOT_READY[status.state]
+        raise kind(f"stage: the controller {what} on the way; {way_out}")
 
 
 def _check(settings: GrblSettings) -> None:

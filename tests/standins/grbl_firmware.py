@@ -79,6 +79,11 @@ class GrblFirmware:
     def press_hold(self) -> None:
         self._flags.add("hold")
 
+    def open_door(self) -> None:
+        """Open the safety door, and close it again: motion brakes, and waits for a resume."""
+        self._door = True
+        self._flags.add("hold")
+
     @property
     def moving(self) -> bool:
         return self._motion is not None
@@ -222,7 +227,7 @@ class GrblFirmware:
             self._say_line(f"ALARM:{6 if self.state == 'Home' else 3}")
             self._kill("Alarm", 0)
         self._abort = True
-        self._suspended = False
+        self._suspended = self._door = False
 
     def _obey_flags(self) -> None:
         if self._flags & {"hold", "jog-cancel"}:
@@ -254,7 +259,7 @@ class GrblFirmware:
             elif self.state in ("Run", "Jog"):
                 self.state = "Idle"
 
-    _soft_limit_hold = False
+    _soft_limit_hold = _door = False
 
     # -- motion --------------------------------------------------------------------------------------------------
 
@@ -518,7 +523,9 @@ class GrblFirmware:
             return f"{x / unit:.{digits}f},{0:.{digits}f},{0:.{digits}f}"
 
         state = self.state
-        if state == "Hold":
+        if state == "Hold" and self._door:
+            state = "Door:0" if self._suspended else "Door:2"
+        elif state == "Hold":
             state += ":0" if self._suspended else ":1"
         parts = [state, f"{'MPos' if flags & 1 else 'WPos'}:{vector(place)}"]
         if flags & 2:

@@ -22,6 +22,7 @@ from rigs.errors import (
     StageError,
     StoppedError,
 )
+from rigs.grbl_protocol import Other, parse
 from rigs.grbl_stage import GrblSettings, GrblStage
 
 Grbl = Any
@@ -292,9 +293,38 @@ def test_feed_hold_button_ends_the_move_and_keeps_the_position(grbl: Grbl, in_ba
     grbl.wait_until(lambda: grbl.firmware.moving)
     with grbl.line.lock:
         grbl.firmware.press_hold()
-    assert isinstance(moving.ended(), StoppedError)
+    error = moving.ended()
+    assert isinstance(error, StoppedError)
+    assert "paused by its feed hold" in str(error)
     assert stage.homed()
     assert grbl.firmware.state == "Idle"  # nothing is left that a resume button could set going
+
+
+def test_door_opened_during_a_move_is_named_at_once_and_keeps_the_position(
+    grbl: Grbl, in_background: InBackground
+) -> None:
+    stage = grbl.homed()
+    grbl.slow()
+    moving = in_background(lambda: stage.move_to_mm(-1000))
+    grbl.wait_until(lambda: grbl.firmware.moving)
+    with grbl.line.lock:
+        grbl.firmware.open_door()
+    error = moving.ended()
+    assert isinstance(error, StageError)
+    assert "sees its safety door open on the way; close the door" in str(error)
+    assert stage.homed()
+    assert grbl.firmware.rail.carriage_mm == pytest.approx(stage.position_mm() + 2905, abs=0.02)
+    assert stage.move_to_mm(stage.position_mm() + 2)
+
+
+def test_work_offset_that_lost_a_coordinate_is_no_report(grbl: Grbl) -> None:
+    grbl.firmware.settings[10] = 0
+    stage = grbl.homed()
+    stage._controller._offset = (0.0, 0.0)  # as a build without the check would keep it
+    with pytest.raises(ProtocolError, match="number of axes"):
+        stage.position_mm()
+    assert stage.position_mm() == pytest.approx(grbl.firmware.machine_mm, abs=0.01)
+    assert isinstance(parse("<Idle|WPos:0.000,0.000,0.000|WCO:-5.000,0.000>"), Other)
 
 
 def test_stop_brakes_within_the_braking_distance(grbl: Grbl, in_background: InBackground) -> None:
