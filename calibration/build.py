@@ -18,7 +18,7 @@ from calibration.bank import Bank
 from calibration.errors import DepthListError, FrameError, PointError
 from calibration.exif import known_camera
 from calibration.image import FrameInfo, LinearImage, Recipe
-from calibration.lens_fit import LensFit, aperture_radius_mm, check_depths, fit_lens
+from calibration.lens_fit import LensFit, aperture_radius_mm, check_aperture, check_depths, fit_lens
 from calibration.points import PointImage, PointOptions, find_points
 from calibration.psf import (
     Plane,
@@ -333,6 +333,10 @@ def _assemble(
         core_px=fields[central].fit.core_px,
     )
     size = options.sensor_size or _known_size(infos[0][1])
+    radius_mm = None
+    if focal and pitch:
+        radius_mm = aperture_radius_mm(lens, focal_length_mm=focal, pixel_pitch_mm=pitch)
+        check_aperture(radius_mm, focal_length_mm=focal, f_number=infos[0][1].f_number)
     manifest: dict[str, Any] = {
         "kind": "measured",
         "software": software_version(),
@@ -348,9 +352,7 @@ def _assemble(
             "sensor_size": list(size) if size else None,
         },
         "aperture": {
-            "radius_mm": aperture_radius_mm(lens, focal_length_mm=focal, pixel_pitch_mm=pitch)
-            if focal and pitch
-            else None,
+            "radius_mm": radius_mm,
             "core_px": [f.fit.core_px for f in fields],
         },
         "dot_radius_px": fields[central].dot_radius.tolist(),

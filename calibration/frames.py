@@ -22,6 +22,7 @@ _NAME = re.compile(
 _DARK = re.compile(r"^(dark|black|bias)([_-]?\w+)?$", re.IGNORECASE)
 _TO_MM = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
 _IGNORED = {".csv", ".json", ".txt", ".md", ".yaml", ".yml", ".html", ".jpg", ".jpeg", ".xmp", ".tmp"}
+_LONGEST_LINE = 10_000
 _COLUMNS = ("file", "depth_cm", "kind")
 
 
@@ -118,6 +119,8 @@ def _from_table(table: Path) -> tuple[dict[float, list[Path]], list[Path]]:
         text = table.read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
         raise FrameError(f"{table}: can't be read as text ({error})") from error
+    if any(len(line) > _LONGEST_LINE for line in text.splitlines()):
+        raise FrameError(f"{table}: has a line of over {_LONGEST_LINE} characters; is it a list of frames?")
     reader = csv.DictReader(text.splitlines(), skipinitialspace=True)
     missing = [column for column in _COLUMNS if column not in (reader.fieldnames or [])]
     if missing:

@@ -144,9 +144,37 @@ def fit_lens(nominal_mm: FloatArray, radius_px: FloatArray, radius_se_px: FloatA
     )
 
 
+_WIDEST = 1.0 / (2 * 0.7)
+"""Radius over focal length at f/0.7."""
+_STATED_TIMES = 5.0
+"""A mask is smaller than the stop that the frames state, not by so much."""
+
+
 def aperture_radius_mm(lens: LensFit, *, focal_length_mm: float, pixel_pitch_mm: float) -> float:
     """Radius (mm) of the circle about the aperture: scale * pitch * (focus - f) / f (thin lens)."""
     return lens.scale_px * pixel_pitch_mm * (lens.focus_mm - focal_length_mm) / focal_length_mm
+
+
+def check_aperture(radius_mm: float, *, focal_length_mm: float, f_number: float | None) -> None:
+    """Refuse depths that make the aperture another lens's: they are in another unit, mostly.
+
+    Focus, and with it the aperture that the blur asks for, grow in proportion to the depths.
+
+    Raises
+    ------
+    DepthListError
+        Wider than any lens of this focal length, or far from the f-number that the frames state.
+    """
+    stated = focal_length_mm / (2.0 * f_number) if f_number else None
+    wide = radius_mm > _WIDEST * focal_length_mm or (stated is not None and radius_mm > _STATED_TIMES * stated)
+    narrow = stated is not None and radius_mm < stated / _STATED_TIMES
+    if wide or narrow:
+        lens = f"a {focal_length_mm:g} mm lens" + (f" at f/{f_number:g} has {stated:.2g} mm" if stated else "")
+        other = "millimetres given as centimetres" if wide else "centimetres given as millimetres, or inches"
+        raise DepthListError(
+            f"with these depths the aperture would be {radius_mm:.2g} mm in radius, but {lens}; are they in another "
+            f"unit ({other})?"
+        )
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,6 +6,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from calibration.errors import FitError
+
 FloatArray = NDArray[np.float64]
 
 _SMOOTHING = 1.5
@@ -33,11 +35,20 @@ def circumscribed(picture: FloatArray) -> tuple[float, float, float]:
     -------
     tuple of float
         Row and column of the centre and radius, in cells.
+
+    Raises
+    ------
+    FitError
+        It has no outline.
     """
     level = 0.5 * _plateau(picture)
     # a little blur doesn't move straight edges, and averages over the grain of single cells and over-sharpened rims
     smooth = np.asarray(cv2.GaussianBlur(picture, (0, 0), _SMOOTHING, borderType=cv2.BORDER_REFLECT_101), np.float64)
     points = _level_points(smooth, level)
+    if not len(points):
+        raise FitError(
+            "the points have no common outline: a point that moved between repeats, or PSFs that are cut off"
+        )
     low, high = points.min(axis=0), points.max(axis=0)
     centre = (low + high) / 2.0
     outline = np.concatenate([points, _corners(points)])

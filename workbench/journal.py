@@ -83,16 +83,19 @@ class Journal:
         record["prev"] = self._last
         record["hash"] = _hash(record)
         line = json.dumps(record, separators=(",", ":"), ensure_ascii=False, allow_nan=False).encode() + b"\n"
-        start = self.path.stat().st_size
+        start, count, last = self.path.stat().st_size, len(self.records), self._last
         try:
             if self._handle.write(line) != len(line):
                 raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(self.path))
             os.fsync(self._handle.fileno())
-        except OSError:
-            os.truncate(self.path, start)  # a full disk must not leave half a record
+            self.records.append(record)
+            self._last = record["hash"]
+        except BaseException:
+            # A full disk must not leave half a record, nor Ctrl-C one that the next doesn't follow.
+            os.truncate(self.path, start)
+            del self.records[count:]
+            self._last = last
             raise
-        self.records.append(record)
-        self._last = record["hash"]
 
     def state(self) -> SessionState:
         """Fold what has been recorded so far."""

@@ -24,6 +24,9 @@ from workbench.errors import CheckFailedError, InputError
 from workbench.files import replacing
 from workbench.units import cm, length_mm
 
+PITCHES_MM = (0.0005, 0.1)
+"""Smallest and largest pitch that pixels may have."""
+
 
 def bank_summary(bank: Bank, entry: Entry) -> dict[str, Any]:
     """What ``bank show --json`` prints."""
@@ -239,6 +242,10 @@ def parse_depths(text: str) -> list[float]:
 @command_options
 def import_(context: Context, path: Path, depths: str | None, recipe: str, pixel_pitch: float | None) -> None:
     """Make a bank from a stack of PSFs: .npy, .npz, .mat or .tif."""
+    if pixel_pitch is not None and not PITCHES_MM[0] <= pixel_pitch <= PITCHES_MM[1]:
+        raise InputError(
+            f"--pixel-pitch: {1000 * pixel_pitch:g} um is no pitch of pixels; give it with its unit, e.g. 8.6um"
+        )
     project = context.project()
     made = import_bank(
         context.existing(path, "stack of PSFs"), parse_depths(depths) if depths else None,

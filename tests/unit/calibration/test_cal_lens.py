@@ -5,7 +5,7 @@ import pytest
 from drawn_points import DEPTHS_MM, FOCUS_MM, SCALE_PX, draw_psf
 
 from calibration.errors import DepthListError, FitError
-from calibration.lens_fit import aperture_radius_mm, check_depths, fit_lens
+from calibration.lens_fit import aperture_radius_mm, check_aperture, check_depths, fit_lens
 from calibration.pupil_outline import circumscribed
 from calibration.render import render, render_slopes, share_matrix
 from calibration.template import Spot, fit_spots
@@ -148,3 +148,11 @@ def test_points_all_in_focus_say_so() -> None:
     spots = [Spot(draw_psf(r, (21, 21), (10, 10), 0.5), np.full((21, 21), 1e-4)) for r in (0.2, 0.4, 0.6)]
     with pytest.raises(FitError, match="in focus"):
         fit_spots(spots, 1.0 / np.array([1500.0, 1550.0, 1600.0]))
+
+
+@pytest.mark.parametrize(("times", "expected"), [(10.0, "millimetres given as centimetres"), (0.1, "or inches")])
+def test_depths_in_another_unit_make_an_aperture_that_no_lens_has(times: float, expected: str) -> None:
+    check_aperture(7.0, focal_length_mm=50.0, f_number=3.6)
+    check_aperture(7.0, focal_length_mm=50.0, f_number=None)
+    with pytest.raises(DepthListError, match=expected):
+        check_aperture(times * 7.0, focal_length_mm=50.0, f_number=3.6)

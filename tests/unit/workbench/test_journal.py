@@ -1,5 +1,6 @@
 import hashlib
 import json
+import os
 from pathlib import Path
 
 import pytest
@@ -46,6 +47,24 @@ def test_a_torn_last_line_is_dropped_and_the_journal_goes_on(
     journal.append("finished", shots=2)
     journal.close()
     assert fold(read_journal(path)[0]).finished
+
+
+def test_ctrl_c_while_a_record_is_written_leaves_a_whole_journal(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    journal = Journal(tmp_path / "journal.jsonl")
+    journal.append("started")
+
+    def interrupted(_: int) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "fsync", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            journal.append("shot", id="a")
+    journal.append("interrupted")
+    journal.close()
+    assert [record["type"] for record in read_journal(tmp_path / "journal.jsonl")[0]] == ["started", "interrupted"]
 
 
 def test_a_changed_record_in_the_middle_is_refused(tmp_path: Path) -> None:
