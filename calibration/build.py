@@ -19,6 +19,7 @@ from calibration.errors import DepthListError, FrameError, PointError
 from calibration.exif import known_camera
 from calibration.image import FrameInfo, LinearImage, Recipe
 from calibration.lens_fit import LensFit, aperture_radius_mm, check_aperture, check_depths, fit_lens
+from calibration.optics import image_distance_mm
 from calibration.points import PointImage, PointOptions, find_points
 from calibration.psf import (
     Plane,
@@ -273,7 +274,7 @@ def _measure_field(
     dot_radius = np.zeros(nominal.size)
     fit, lens = fitted(dot_radius, None)
     if focal_mm and pitch_mm:
-        image_distance = focal_mm * lens.focus_mm / (lens.focus_mm - focal_mm)
+        image_distance = image_distance_mm(focal_length_mm=focal_mm, focus_mm=lens.focus_mm)
         dot_radius = np.array(
             [
                 dot_radius_px(d, z, image_distance_mm=image_distance, pitch_mm=pitch_mm)

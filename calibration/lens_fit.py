@@ -169,10 +169,11 @@ def check_aperture(radius_mm: float, *, focal_length_mm: float, f_number: float 
     wide = radius_mm > _WIDEST * focal_length_mm or (stated is not None and radius_mm > _STATED_TIMES * stated)
     narrow = stated is not None and radius_mm < stated / _STATED_TIMES
     if wide or narrow:
-        lens = f"a {focal_length_mm:g} mm lens" + (f" at f/{f_number:g} has {stated:.2g} mm" if stated else "")
+        lens = f"{focal_length_mm:g} mm lens"
+        fact = f"a {lens} at f/{f_number:g} has {stated:.2g} mm" if stated else f"no {lens} is so wide"
         other = "millimetres given as centimetres" if wide else "centimetres given as millimetres, or inches"
         raise DepthListError(
-            f"with these depths the aperture would be {radius_mm:.2g} mm in radius, but {lens}; are they in another "
+            f"with these depths the aperture would be {radius_mm:.2g} mm in radius, but {fact}; are they in another "
             f"unit ({other})?"
         )
 

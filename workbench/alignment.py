@@ -9,6 +9,7 @@ from scipy import ndimage
 
 from calibration.errors import PointError
 from calibration.image import FrameInfo, LinearImage
+from calibration.optics import image_distance_mm
 from calibration.points import find_points
 from rigs.align_feed import AlignSample
 from rigs.protocols import Exposure
@@ -34,8 +35,9 @@ def preview_image(jpeg: bytes) -> LinearImage | None:
 
 def panel_mm_per_px(pitch_mm: float, depth_mm: float, focal_length_mm: float, focus_mm: float | None) -> float:
     """What a pixel covers on a panel, mm, by the chief rays of a thin lens focused at ``focus_mm`` (None: infinity)."""
-    image_mm = focal_length_mm if focus_mm is None else focal_length_mm * focus_mm / (focus_mm - focal_length_mm)
-    return pitch_mm * depth_mm / image_mm
+    if focus_mm is None:
+        return pitch_mm * depth_mm / focal_length_mm
+    return pitch_mm * depth_mm / image_distance_mm(focal_length_mm=focal_length_mm, focus_mm=focus_mm)
 
 
 def look(image: LinearImage, exposure: Exposure | None) -> AlignSample:

@@ -56,8 +56,8 @@ def calibrate_frames(project: Project, directory: Path, config: RigConfig, *, ap
     )
     try:
         built = build_bank(frames, listed.darks, options)
-    except FitError as error:
-        raise FitError(f"{directory}: {error}") from None
+    except (DepthListError, FitError) as error:
+        raise type(error)(f"{directory}: {error}") from None
     return _finish(project, built)
 
 

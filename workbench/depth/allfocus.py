@@ -18,6 +18,7 @@ from calibration.bank import Bank
 from calibration.field import bank_at, region_place
 from calibration.image import LinearImage
 from workbench.depth.estimate import DepthEstimate
+from workbench.depth.regions import bounding_box
 from workbench.depth.richardson_lucy import Deconvolver
 
 _REACH_SIGMAS = 3
@@ -87,7 +88,7 @@ def all_focus(
         psfs = bank_at(bank, region_place(mask > 0)).central if by_place else bank.central
         weight = cv2.GaussianBlur(mask, (0, 0), feather_px) if feather_px > 0 else mask
         reach = int(np.ceil(_REACH_SIGMAS * feather_px))
-        box = _box(mask, reach)
+        box = bounding_box(mask, reach)
         local = weight[box]
         observed = (mask[box] > 0) & ~image.saturated[box]
         deconvolver = Deconvolver((local.shape[0], local.shape[1]), bank.psf.shape[-1], mask=observed, workers=workers)
@@ -108,12 +109,3 @@ def _nearest_plane(depth_mm: NDArray[np.float32], depths_mm: NDArray[np.float64]
     known = np.isfinite(depth_mm)
     found = np.searchsorted(middles, -1.0 / np.where(known, depth_mm, 1.0))
     return np.where(known, found, len(depths_mm) - 1)
-
-
-def _box(mask: NDArray[np.float32], reach: int) -> tuple[slice, slice]:
-    rows = np.flatnonzero(mask.any(axis=1))
-    columns = np.flatnonzero(mask.any(axis=0))
-    return (
-        slice(max(0, int(rows[0]) - reach), int(rows[-1]) + 1 + reach),
-        slice(max(0, int(columns[0]) - reach), int(columns[-1]) + 1 + reach),
-    )

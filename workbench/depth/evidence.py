@@ -133,7 +133,8 @@ def observe(plane: NDArray[np.float32], mask: Mask, model: DepthModel, options: 
     pooled = pooled_periodogram(plane, windows, model.kernel_lags.shape[1] // 2)
     expected = smeared_power(model.kernel_lags, pooled.taper_lags, size)
     fit = fit_spectra(pooled.power, pooled.trusted, expected, factor=options.factor)
-    finer = place_windows(mask, soft, size // 2, least_weight=options.least_weight)
+    has_finer = size // 2 >= options.smallest_window_px
+    finer = place_windows(mask, soft, size // 2, least_weight=options.least_weight) if has_finer else []
     pixels = sum(w.weight for w in windows) * size * size * 0.25  # half overlap both ways: each pixel counts fourfold
     return Observation(
         windows,

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from scipy import linalg
 
 from calibration.image import LinearImage
+from workbench.depth.regions import bounding_box
 
 Mask = NDArray[np.bool_]
 Plane = NDArray[np.float32]
@@ -45,10 +46,9 @@ def informative_mixture(image: LinearImage, mask: Mask, least_gain: float) -> ND
     """
     if image.planes.shape[2] != 3:
         return None
-    rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
-    if not rows.size:
+    if not mask.any():
         return None
-    box = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
+    box = bounding_box(mask)
     reach = 2 * int(_COARSE_PX) + 1
     whole = cv2.erode(
         np.ascontiguousarray(mask[box]).astype(np.uint8), np.ones((reach, reach), np.uint8),

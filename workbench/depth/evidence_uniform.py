@@ -54,14 +54,14 @@ def parts_loss(
     windows
         That cover the region. They are best half as wide as those that its depth is read from: more of them fit in.
     model, options
-        Radii of the blurs; smallest window.
+        Radii of the blurs; the texture's distribution.
 
     Returns
     -------
     float
-        0 where the windows are too few or too small for four parts.
+        0 where the windows are too few for four parts.
     """
-    if len(windows) < _LEAST_WINDOWS or windows[0].taper.shape[0] < options.smallest_window_px:
+    if len(windows) < _LEAST_WINDOWS:
         return 0.0
     rows = slice(None, None, _EVERY_ROW)
     radius = np.abs(model.row_radius_px[rows])

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
-from workbench.depth.regions import edge_distance
+from workbench.depth.regions import bounding_box, edge_distance
 
 FloatArray = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -83,13 +83,13 @@ def place_windows(mask: Mask, soft: NDArray[np.float32], size: int, *, least_wei
     list of Window
         By decreasing weight; empty if nothing fits.
     """
-    rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
-    if not rows.size:
+    if not mask.any():
         return []
+    rows, columns = bounding_box(mask)
     corners = [
         (y, x)
-        for y in _starts(int(rows[0]), int(rows[-1]) + 1, size, mask.shape[0])
-        for x in _starts(int(columns[0]), int(columns[-1]) + 1, size, mask.shape[1])
+        for y in _starts(rows.start, rows.stop, size, mask.shape[0])
+        for x in _starts(columns.start, columns.stop, size, mask.shape[1])
     ]
     full = np.outer(hann(size), hann(size)).astype(np.float32)
     energy = float((full**2).sum())
@@ -123,10 +123,9 @@ def soft_mask(mask: Mask, *, margin_px: float, ramp_px: float) -> tuple[NDArray[
         float32 (H, W) each: 0 to 1; and the distance (px) to the region's edge or the frame's border, 0 outside.
     """
     soft, clear = np.zeros(mask.shape, np.float32), np.zeros(mask.shape, np.float32)
-    rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
-    if rows.size:
+    if mask.any():
         # with a ring of one pixel about the region: nothing outside is nearer than what lies on it
-        box = slice(max(rows[0] - 1, 0), rows[-1] + 2), slice(max(columns[0] - 1, 0), columns[-1] + 2)
+        box = bounding_box(mask, 1)
         distance = np.where(mask[box], edge_distance(mask[box]), np.float32(0.0))
         share = np.clip((distance - np.float32(margin_px)) / np.float32(max(ramp_px, 1e-6)), np.float32(0.0), 1.0)
         soft[box] = share * share * (3.0 - 2.0 * share)

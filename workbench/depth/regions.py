@@ -150,6 +150,15 @@ def inner(mask: NDArray[np.bool_], margin_px: float, *, frame_is_edge: bool = Fa
     return np.asarray(mask & (edge_distance(mask, frame_is_edge=frame_is_edge) > margin_px))
 
 
+def bounding_box(mask: NDArray[np.generic], reach: int = 0) -> tuple[slice, slice]:
+    """Rows and columns that hold all of a mask (H, W), which must hold something, and ``reach`` more on each side."""
+    rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
+    return (
+        slice(max(0, int(rows[0]) - reach), int(rows[-1]) + 1 + reach),
+        slice(max(0, int(columns[0]) - reach), int(columns[-1]) + 1 + reach),
+    )
+
+
 def edge_distance(mask: NDArray[np.bool_], *, frame_is_edge: bool = False) -> NDArray[np.float32]:
     """float32 (H, W): distance (px) from each pixel of a region to the nearest one outside, or infinite."""
     padded = np.pad(mask.astype(np.uint8), 1, constant_values=0 if frame_is_edge else 1)

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from calibration.bank import Bank
 from calibration.image import LinearImage
 from workbench.depth.estimate import DepthEstimate, Status
-from workbench.depth.regions import edge_distance
-from workbench.depth.sharpness import _bounding_box, _contrast, _noise_level
+from workbench.depth.regions import bounding_box, edge_distance
+from workbench.depth.sharpness import _contrast, _noise_level
 
 FloatImage = NDArray[np.float32]
 Mask = NDArray[np.bool_]
@@ -132,7 +132,7 @@ def screen(image: LinearImage, bank: Bank, labels: NDArray[np.int32], options: S
     found = Screened([], {}, noise)
     for label in (int(value) for value in np.unique(labels) if value > 0):
         mask = labels == label
-        box = _bounding_box(mask)
+        box = bounding_box(mask)
         distance = edge_distance(mask[box], frame_is_edge=True)
         limit = float(np.quantile(distance[mask[box]], 1.0 - options.keep_fraction))
         # Distances of edge pixels are 1: a region that can't afford any margin keeps all of its pixels.

@@ -30,7 +30,7 @@ from calibration.errors import MismatchError
 from calibration.image import LinearImage
 from calibration.optics import mirror_depth
 from workbench.depth.estimate import DepthEstimate, Status
-from workbench.depth.regions import edge_distance
+from workbench.depth.regions import bounding_box, edge_distance
 from workbench.depth.richardson_lucy import Deconvolver, FloatImage, KernelBank
 
 LambdaReading = Literal["one-minus-abs-sigma-mm", "one-minus-sigma-mm", "minus-sigma", "none"]
@@ -284,7 +284,7 @@ def _sigma_mm(bank: Bank, options: SharpnessOptions) -> FloatArray:
 def _region(labels: NDArray[np.int32], label: int, margin: float, depths: int, options: SharpnessOptions) -> _Region:
     """A region's inner part, in the box that holds it."""
     mask = labels == label
-    box = _bounding_box(mask)
+    box = bounding_box(mask)
     distance = edge_distance(mask[box], frame_is_edge=True)
     limit = float(np.quantile(distance[mask[box]], 1.0 - options.keep_fraction))
     # Distances of edge pixels are 1: a region that can't afford any margin keeps all of its pixels.
@@ -444,12 +444,6 @@ def _reduced(picture: FloatArray, side: int) -> FloatArray:
         return picture
     size = (max(1, round(picture.shape[1] / factor)), max(1, round(picture.shape[0] / factor)))
     return np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_AREA), np.float64)
-
-
-def _bounding_box(mask: Mask) -> tuple[slice, slice]:
-    rows = np.flatnonzero(mask.any(axis=1))
-    columns = np.flatnonzero(mask.any(axis=0))
-    return slice(int(rows[0]), int(rows[-1]) + 1), slice(int(columns[0]), int(columns[-1]) + 1)
 
 
 def _noise_level(luminance: FloatImage) -> float:

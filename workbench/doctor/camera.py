@@ -9,6 +9,7 @@ from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 
+from calibration.bank import Bank
 from rigs.errors import DeviceBusyError, RigError
 from rigs.gphoto2_camera import Gphoto2Camera, survey
 from rigs.gphoto2_config import Gphoto2Settings
@@ -40,7 +41,7 @@ def camera_findings(
     in_sight: Sequence[str],
     *,
     programs: Sequence[str],
-    bank_made_with: tuple[str, str] = ("", ""),
+    bank: Bank | None = None,
 ) -> list[Finding]:
     """Check the camera that rig.yaml names.
 
@@ -54,8 +55,8 @@ def camera_findings(
         Cameras that are plugged in (see :func:`cameras_in_sight`).
     programs
         Names of running programs (see :func:`workbench.doctor.processes.running`).
-    bank_made_with
-        Make and model in the active bank's frames.
+    bank
+        The active one.
     """
     if config.kind == "simulated":
         if in_sight:
@@ -66,7 +67,8 @@ def camera_findings(
     facts, found = usb_camera_findings(settings, demand, now=datetime.now(), programs=programs)
     if facts is None:
         return [*found, *permission_findings(in_sight)]
-    fits = bank_finding(bank_made_with, facts)
+    camera = {} if bank is None else bank.manifest.get("camera", {})
+    fits = bank_finding((str(camera.get("make") or ""), str(camera.get("model") or "")), facts)
     return [*found, pixel_pitch_finding(config.pixel_pitch_mm, facts), *([] if fits is None else [fits])]
 
 

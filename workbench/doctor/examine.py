@@ -15,7 +15,7 @@ from workbench.doctor.findings import Checkup, Finding, PluggedIn, in_order
 from workbench.doctor.host import computer_findings, newest_file_s, versions
 from workbench.doctor.panel import panel_findings
 from workbench.doctor.processes import running
-from workbench.doctor.project import PROJECT, bank_made_with, plan_finding, project_findings
+from workbench.doctor.project import PROJECT, plan_finding, project_findings
 from workbench.doctor.stage import stage_findings
 from workbench.errors import InputError
 from workbench.planning import METER_SHOTS_PER_DEPTH, cost, dot_size_px, make_plan
@@ -67,7 +67,8 @@ def examine(
         depths_mm, dot_px = plan.depths_mm, dot_size_px(config, plan.depths_mm[0])
         frames = estimate.shots + math.ceil(METER_SHOTS_PER_DEPTH * len(depths_mm))
         demand = Demand(frames, estimate.bytes, plan.iso)
-    found += project_findings(project, config)
+    in_project, bank = project_findings(project, config)
+    found += in_project
     installed, programs = versions(), running()
     found += computer_findings(
         project.root,
@@ -89,8 +90,7 @@ def examine(
         except OSError as error:  # a directory that can't be written to: said by the check of the disk
             found.append(PROJECT.warning("rig", f"can't be locked ({error.strerror})", "see computer: disk"))
         else:
-            made_with = bank_made_with(project)
-            found += camera_findings(config.camera, demand, cameras, programs=programs, bank_made_with=made_with)
+            found += camera_findings(config.camera, demand, cameras, programs=programs, bank=bank)
             step(2)
             found += stage_findings(config, depths_mm, programs=programs, operator_present=operator_present)
             step(3)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from calibration.bank import Bank
 from calibration.errors import BankError
 from calibration.registry import read_registry
 from workbench.banks import open_bank
@@ -17,9 +18,10 @@ from workbench.units import bytes_text, cm, seconds_text
 PROJECT = Subject("project")
 
 
-def project_findings(project: Project, config: RigConfig) -> list[Finding]:
-    """Check what lies in the project directory."""
-    return [*_devices(config), *_session(project), _bank(project)]
+def project_findings(project: Project, config: RigConfig) -> tuple[list[Finding], Bank | None]:
+    """Check what lies in the project directory; also the active bank, where there is a sound one."""
+    on_bank, bank = _bank(project)
+    return [*_devices(config), *_session(project), on_bank], bank
 
 
 def plan_finding(plan: Plan, cost: PlanCost) -> Finding:
@@ -30,16 +32,6 @@ def plan_finding(plan: Plan, cost: PlanCost) -> Finding:
         f"{len(plan.depths_mm)} depths, {first} to {last}, {cost.shots} shots and their metering: about "
         f"{seconds_text(cost.seconds)}, {bytes_text(cost.bytes)}",
     )
-
-
-def bank_made_with(project: Project) -> tuple[str, str]:
-    """Make and model of the camera that the active bank was made with; empty where that isn't known."""
-    try:
-        entry = read_registry(project.banks).active
-        camera = {} if entry is None else open_bank(project, entry.id)[0].manifest.get("camera", {})
-    except (BankError, OSError):  # said by the bank's own finding
-        camera = {}
-    return str(camera.get("make") or ""), str(camera.get("model") or "")
 
 
 def _devices(config: RigConfig) -> list[Finding]:
@@ -78,25 +70,28 @@ def _session(project: Project) -> list[Finding]:
     ]
 
 
-def _bank(project: Project) -> Finding:
+def _bank(project: Project) -> tuple[Finding, Bank | None]:
     try:
         entry = read_registry(project.banks).active
     except BankError as error:
-        return PROJECT.failure("bank", error)
+        return PROJECT.failure("bank", error), None
     if entry is None:
-        return PROJECT.note("bank", "none is active: nothing can be measured yet", "`workbench calibrate` makes one")
+        none = PROJECT.note("bank", "none is active: nothing can be measured yet", "`workbench calibrate` makes one")
+        return none, None
     name = f"v{entry.version} {entry.id}"
     try:
         bank, _ = open_bank(project, entry.id)
     except (BankError, OSError) as error:
-        return PROJECT.warning(
+        damaged = PROJECT.warning(
             "bank", f"{name}: {error}", "`workbench bank list`, then activate another, or calibrate anew"
         )
+        return damaged, None
     reach = f"{len(bank.depths_mm)} depths, {cm(bank.depths_mm[0], 0)} to {cm(bank.depths_mm[-1], 0)}"
     quality = bank.manifest.get("quality", {})
     verdict = quality.get("verdict", "not judged")
     if verdict == "bad":
-        return PROJECT.warning(
+        bad = PROJECT.warning(
             "bank", f"{name}: its quality is bad: {'; '.join(quality.get('reasons', ()))}", "calibrate anew"
         )
-    return PROJECT.ok("bank", f"{name}: every byte is as it was written; {reach}; quality {verdict}")
+        return bad, bank
+    return PROJECT.ok("bank", f"{name}: every byte is as it was written; {reach}; quality {verdict}"), bank

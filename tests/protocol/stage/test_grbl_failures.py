@@ -32,6 +32,16 @@ InBackground = Callable[[Callable[[], object]], Any]
 # -- opening -----------------------------------------------------------------------------------------------------
 
 
+def moving_while(grbl: Grbl, stage: GrblStage, in_background: InBackground, happens: Callable[[], None]) -> Any:
+    """A slow move on another thread, during which something happens to the controller."""
+    grbl.slow()
+    moving = in_background(lambda: stage.move_to_mm(-1000))
+    grbl.wait_until(lambda: grbl.firmware.moving)
+    with grbl.line.lock:
+        happens()
+    return moving
+
+
 def test_opening_never_means_knowing_the_position(grbl: Grbl) -> None:
     first = grbl.homed()
     first.close()
@@ -225,11 +235,7 @@ def test_soft_limit_of_the_controller_narrower_than_we_think(grbl: Grbl) -> None
 
 def test_hard_limit_on_the_way(grbl: Grbl, in_background: InBackground) -> None:
     stage = grbl.homed()
-    grbl.slow()
-    moving = in_background(lambda: stage.move_to_mm(-1000))
-    grbl.wait_until(lambda: grbl.firmware.moving)
-    with grbl.line.lock:
-        grbl.firmware.trip_switch()
+    moving = moving_while(grbl, stage, in_background, grbl.firmware.trip_switch)
     error = moving.ended()
     assert isinstance(error, AlarmError)
     assert "ALARM:1" in str(error)
@@ -242,11 +248,7 @@ def test_hard_limit_on_the_way(grbl: Grbl, in_background: InBackground) -> None:
 
 def test_reset_on_the_way_loses_the_position(grbl: Grbl, in_background: InBackground) -> None:
     stage = grbl.homed()
-    grbl.slow()
-    moving = in_background(lambda: stage.move_to_mm(-1000))
-    grbl.wait_until(lambda: grbl.firmware.moving)
-    with grbl.line.lock:
-        grbl.firmware.press_reset()
+    moving = moving_while(grbl, stage, in_background, grbl.firmware.press_reset)
     assert isinstance(moving.ended(), PositionLostError)
     assert not stage.homed()
     with pytest.raises(PositionLostError, match="home"):
@@ -288,11 +290,7 @@ def test_moved_by_another_program(grbl: Grbl) -> None:
 
 def test_feed_hold_button_ends_the_move_and_keeps_the_position(grbl: Grbl, in_background: InBackground) -> None:
     stage = grbl.homed()
-    grbl.slow()
-    moving = in_background(lambda: stage.move_to_mm(-1000))
-    grbl.wait_until(lambda: grbl.firmware.moving)
-    with grbl.line.lock:
-        grbl.firmware.press_hold()
+    moving = moving_while(grbl, stage, in_background, grbl.firmware.press_hold)
     error = moving.ended()
     assert isinstance(error, StoppedError)
     assert "paused by its feed hold" in str(error)
@@ -304,11 +302,7 @@ def test_door_opened_during_a_move_is_named_at_once_and_keeps_the_position(
     grbl: Grbl, in_background: InBackground
 ) -> None:
     stage = grbl.homed()
-    grbl.slow()
-    moving = in_background(lambda: stage.move_to_mm(-1000))
-    grbl.wait_until(lambda: grbl.firmware.moving)
-    with grbl.line.lock:
-        grbl.firmware.open_door()
+    moving = moving_while(grbl, stage, in_background, grbl.firmware.open_door)
     error = moving.ended()
     assert isinstance(error, StageError)
     assert "sees its safety door open on the way; close the door" in str(error)
