@@ -20,9 +20,16 @@ from calibration.bank import Bank
 from calibration.image import LinearImage
 from workbench.depth.estimate import DepthEstimate, Status
 from workbench.depth.evidence_colour import informative_mixture
-from workbench.depth.evidence_doubt import doubted, unless_another_blur_fits
+from workbench.depth.evidence_doubt import doubted, unless_another_blur_fits, unless_beyond_reach
 from workbench.depth.evidence_model import DepthModel, EvidenceOptions, Learned, learned_of, prepare
-from workbench.depth.evidence_posterior import Refined, find_modes, mode_scores, signed_posterior, summarise
+from workbench.depth.evidence_posterior import (
+    Refined,
+    find_modes,
+    mode_scores,
+    side_odds,
+    signed_posterior,
+    summarise,
+)
 from workbench.depth.evidence_side import sparseness
 from workbench.depth.evidence_spectrum import (
     SpectralFit,
@@ -284,4 +291,5 @@ def _conclude(
     estimate = summarise(sigma, log_post, int(seen.pixels), seen.line_share, model, learned, options, diagnostics)
     if seen.varied > options.varied_log_likelihood or seen.parted > options.parts_log_likelihood:
         return doubted(estimate, "its blur is not the same all over: a slanted surface, or several depths")
-    return unless_another_blur_fits(estimate, likelihood, modes, (far, near), model, options)
+    estimate = unless_another_blur_fits(estimate, likelihood, modes, (far, near), model, options)
+    return unless_beyond_reach(estimate, modes, side_odds(sparse, seen.pixels, learned), model)

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import expit
 
 from workbench.depth.estimate import DepthEstimate
 from workbench.depth.evidence_model import DepthModel, EvidenceOptions
@@ -18,6 +19,10 @@ _OPEN_SIDE = 3.0
 """A side of focus stays open if sparseness speaks against it by less than so many nats."""
 _RIVAL_PX = 0.5
 """Standard errors or not, a rival blur is known to half a pixel."""
+_OUT_OF_REACH = 3.0
+"""Log-odds against a depth that the bank doesn't reach, before its sides are compared: scenes are mostly within it."""
+_FARTHEST = 0.98
+"""Of the radius at infinity: what is larger has no far side."""
 
 
 def doubted(estimate: DepthEstimate, reason: str) -> DepthEstimate:
@@ -71,6 +76,48 @@ def unless_another_blur_fits(
     low_mm, high_mm = estimate.interval_mm
     wider = replace(estimate, interval_mm=(min(low_mm, *held), max(high_mm, *held)))
     return doubted(wider, f"its spectrum fits the blur of {model.depth_mm(rivals[0]) / 10:.0f} cm nearly as well")
+
+
+def unless_beyond_reach(
+    estimate: DepthEstimate, modes: Sequence[int], far_odds: FloatArray, model: DepthModel
+) -> DepthEstimate:
+    """Call an estimate ambiguous where its sides speak for the mirror depth, and the bank doesn't reach that far.
+
+    Parameters
+    ----------
+    estimate
+        What the posterior over the bank's own depths says.
+    modes, far_odds
+        Rows of the likelihood's local maxima; at each, the log-odds of the far side against the near one.
+    model
+        Its reach.
+
+    Returns
+    -------
+    DepthEstimate
+        The same, or ambiguous with the depth out of reach as its mirror, and inside its interval.
+    """
+    if not np.isfinite(estimate.depth_mm):
+        return estimate
+    sigma = model.psfs.radius_px(estimate.depth_mm)
+    if model.sigma_px[0] <= -sigma <= model.sigma_px[-1] or -sigma >= _FARTHEST * model.psfs.radius_px(1e12):
+        return estimate
+    nearest = int(np.abs(np.abs(model.row_radius_px[list(modes)]) - abs(sigma)).argmin())
+    against = float(far_odds[nearest]) * (1.0 if sigma < 0 else -1.0) - _OUT_OF_REACH
+    if against < 0:
+        return estimate
+    mirror = model.depth_mm(-sigma)
+    farthest = _FARTHEST * model.psfs.radius_px(1e12)
+    mirrored = [model.depth_mm(min(-model.psfs.radius_px(end), farthest)) for end in estimate.interval_mm]
+    held = (min(*estimate.interval_mm, *mirrored), max(*estimate.interval_mm, *mirrored))
+    where = "last" if sigma < 0 else "first"
+    end = float(model.depths_mm[-1 if sigma < 0 else 0]) / 10
+    wider = replace(estimate, mirror_mm=mirror, mirror_probability=float(expit(against)), interval_mm=held)
+    reason = (
+        f"may as well be at {mirror / 10:.0f} cm, beyond the bank's {where} plane ({end:.0f} cm): "
+        "its sharp edges fit that side of focus better; use a bank that reaches so far"
+    )
+    return doubted(wider, reason)
 
 
 def _signed(radius: float, far: float, near: float, in_reach: NDArray[np.bool_]) -> list[float]:

@@ -41,11 +41,19 @@ def mode_scores(sparse: FloatArray, mirrored: Mask, pixels: float, learned: Lear
     learned
         Weights.
     """
-    scale = (pixels / 16384.0) ** learned.size_power
-    odds = scale * (sparse[:, 1] - sparse[:, 0]) @ np.array(learned.side_weights)
-    own = -scale * sparse @ np.array(learned.mode_weights)
+    odds = side_odds(sparse, pixels, learned)
+    own = -_scale(pixels, learned) * sparse @ np.array(learned.mode_weights)
     far, near = (np.where(mirrored, np.log(2.0 * expit(sign * odds) + 1e-9), 0.0) for sign in (1.0, -1.0))
     return far + own[:, 0], near + own[:, 1]
+
+
+def side_odds(sparse: FloatArray, pixels: float, learned: Learned) -> FloatArray:
+    """Log-odds of the far side against the near one at each mode, float64 (M,); arguments as in :func:`mode_scores`."""
+    return np.asarray(_scale(pixels, learned) * (sparse[:, 1] - sparse[:, 0]) @ np.array(learned.side_weights))
+
+
+def _scale(pixels: float, learned: Learned) -> float:
+    return float((pixels / 16384.0) ** learned.size_power)
 
 
 def find_modes(

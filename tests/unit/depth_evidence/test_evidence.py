@@ -166,3 +166,21 @@ def test_learning_is_reproducible_and_round_trips(bank: Bank) -> None:
     first, second = learn(bank, seed=3, samples=4), learn(bank, seed=3, samples=4)
     np.testing.assert_array_equal(first[LEARNED], second[LEARNED])
     np.testing.assert_allclose(Learned.from_array(first[LEARNED]).as_array(), first[LEARNED])
+
+
+@pytest.mark.parametrize("seed", [21, 22, 23])
+def test_object_beyond_the_last_plane_is_not_put_in_front_without_a_word(bank: Bank, seed: int) -> None:
+    """Its mirror depth lies within the bank, and the size of its blur fits there; only its side of focus tells."""
+    image = photograph(leaves(SIDE + 64, seed), 4500.0)
+    found = estimate_evidence(image, bank, whole(image.shape))[1]
+    assert found.status == "ambiguous"
+    assert "beyond the bank's last plane" in found.reason
+    assert found.interval_mm[0] <= 4500.0 <= found.interval_mm[1]
+
+
+@pytest.mark.parametrize("seed", [24, 25, 26])
+def test_near_object_whose_mirror_is_beyond_reach_keeps_its_depth(bank: Bank, seed: int) -> None:
+    image = photograph(leaves(SIDE + 64, seed), 780.0)
+    found = estimate_evidence(image, bank, whole(image.shape))[1]
+    assert found.status == "ok"
+    assert abs(found.depth_mm - 780.0) < 15.0
