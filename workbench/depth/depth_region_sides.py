@@ -69,7 +69,7 @@ def side_likelihoods(
         fit = fit_spectra(pooled.power, max(1.0, 0.7 * pooled.averages), expected)
         size = (model.kernel_lags.shape[1] + 1) // 2
         psfs = [model.psfs.psf_at(model.depth_mm(sign * radius), size) for sign in (1.0, -1.0)]
-        sparse = sparseness_by_window(plane, everywhere, own, psfs, fit.coefficients[0], float(fit.log_noise[0]))
+        sparse = sparseness_by_window(plane, everywhere, own, psfs, fit.texture(0))
         odds = overlap * (sparse[:, 1] - sparse[:, 0]) @ np.array(learned.side_weights)
         result[cells] = np.stack([log_expit(odds), log_expit(-odds)], axis=1)
     return result

@@ -33,7 +33,6 @@ from workbench.depth.evidence_posterior import (
 from workbench.depth.evidence_side import sparseness
 from workbench.depth.evidence_spectrum import (
     SpectralFit,
-    basis,
     fit_spectra,
     frequencies,
     smeared_power,
@@ -198,7 +197,7 @@ def _low_share(power: FloatArray, fit: SpectralFit) -> float:
 def _line_share(power: FloatArray, expected: NDArray[np.float32], fit: SpectralFit) -> float:
     modulus, direction, used = frequencies(power.shape[0])
     best = int(fit.log_likelihood.argmax())
-    texture = np.exp(basis(modulus[used], direction[used]) @ fit.coefficients[best])
+    texture = np.exp(fit.texture(best).log_power(modulus[used], direction[used]))
     model = texture * np.maximum(expected[best][used], 0.0) + np.exp(float(fit.log_noise[best]))
     ratio = np.sort(power[used] / model)
     return float(ratio[-max(1, ratio.size // 100) :].sum() / ratio.sum())
@@ -218,7 +217,7 @@ def side_features(
             psfs.append(psfs[0][::-1, ::-1] if psfs else model.psfs.psf_at(model.depth_mm(-radius), size)[::-1, ::-1])
     good = [w for w in seen.windows if w.weight >= 0.6 * seen.windows[0].weight]
     chosen = good[:: max(1, len(good) // options.side_windows)][: options.side_windows]
-    sparse = sparseness(plane, seen.soft, chosen, psfs, seen.fit.coefficients[row], float(seen.fit.log_noise[row]))
+    sparse = sparseness(plane, seen.soft, chosen, psfs, seen.fit.texture(row))
     # next to focus the lens's own spot hides the aperture's shape, and with it the side
     shown = -np.expm1(-((radius / _SHAPELESS_PX) ** 2))
     # near the edge a restoration lacks what the blur carried out of the region

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
-from workbench.depth.evidence_spectrum import basis
+from workbench.depth.evidence_spectrum import TextureSpectrum
 from workbench.depth.evidence_windows import Window, cut_out, hann
 
 FloatArray = NDArray[np.float64]
@@ -34,8 +34,7 @@ def sparseness(
     soft: NDArray[np.float32],
     windows: Sequence[Window],
     psfs: Sequence[NDArray[np.float32]],
-    coefficients: FloatArray,
-    log_noise: float,
+    texture: TextureSpectrum,
 ) -> FloatArray:
     """Mean over directions of log(mean |g|^0.8 / (mean g^2)^0.4) per PSF and filter family; smaller is sparser.
 
@@ -50,14 +49,14 @@ def sparseness(
         Where to look; moments are pooled over them, weighted by their squared tapers.
     psfs
         PSFs to compare, float32 (K, K), unit sum.
-    coefficients, log_noise
+    texture
         Texture and noise as fitted to the region (:mod:`workbench.depth.evidence_spectrum`).
 
     Returns
     -------
     float64 (len(psfs), len(FAMILIES)).
     """
-    lower, power, weight = _moments(plane, soft, windows, psfs, coefficients, log_noise)
+    lower, power, weight = _moments(plane, soft, windows, psfs, texture)
     return _log_ratio(lower.sum(axis=-1) / weight.sum(), power.sum(axis=-1) / weight.sum())
 
 
@@ -66,11 +65,10 @@ def sparseness_by_window(
     soft: NDArray[np.float32],
     windows: Sequence[Window],
     psfs: Sequence[NDArray[np.float32]],
-    coefficients: FloatArray,
-    log_noise: float,
+    texture: TextureSpectrum,
 ) -> FloatArray:
     """Like :func:`sparseness`, for each window by itself; float64 (len(windows), len(psfs), len(FAMILIES))."""
-    lower, power, weight = _moments(plane, soft, windows, psfs, coefficients, log_noise)
+    lower, power, weight = _moments(plane, soft, windows, psfs, texture)
     by_window = (np.moveaxis(sums / weight, -1, 0) for sums in (lower, power))
     return _log_ratio(*by_window)
 
@@ -86,8 +84,7 @@ def _moments(
     soft: NDArray[np.float32],
     windows: Sequence[Window],
     psfs: Sequence[NDArray[np.float32]],
-    coefficients: FloatArray,
-    log_noise: float,
+    texture: TextureSpectrum,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Sums of |g|^0.8 and of g^2 under the squared tapers, float64 (P, F, 4, W), and the tapers' own, float64 (W,)."""
     inner = windows[0].taper.shape[0]
@@ -103,7 +100,7 @@ def _moments(
     weights = np.stack([w.taper**2 for w in windows])
     lower, power = np.zeros((2, len(psfs), len(FAMILIES), _DIRECTIONS, len(windows)))
     for i, psf in enumerate(psfs):
-        for j, filters in enumerate(_filters(psf, size, coefficients, log_noise)):
+        for j, filters in enumerate(_filters(psf, size, texture)):
             for k, filt in enumerate(filters):
                 response = fft.irfft2(spectra * filt, s=(size, size))[:, _CONTEXT:-_CONTEXT, _CONTEXT:-_CONTEXT]
                 square = response * response
@@ -113,13 +110,13 @@ def _moments(
     return lower, power, weights.sum(axis=(1, 2), dtype=np.float64)
 
 
-def _filters(psf: NDArray[np.float32], size: int, coefficients: FloatArray, log_noise: float) -> list[list[Complex]]:
+def _filters(psf: NDArray[np.float32], size: int, texture: TextureSpectrum) -> list[list[Complex]]:
     fy, fx = fft.fftfreq(size)[:, np.newaxis], fft.rfftfreq(size)[np.newaxis, :]
     modulus, direction = np.hypot(fy, fx), np.arctan2(fy + 0 * fx, fx + 0 * fy)
     shape = modulus.shape
-    level = basis(np.maximum(modulus, 1.0 / size).ravel(), direction.ravel()) @ coefficients
+    level = texture.log_power(np.maximum(modulus, 1.0 / size).ravel(), direction.ravel())
     # texture over noise; clipped so that extrapolation to the lowest frequencies stays finite
-    ratio = np.exp(np.clip(level.reshape(shape) - log_noise, -30.0, 30.0)).astype(np.float32)
+    ratio = np.exp(np.clip(level.reshape(shape) - texture.log_noise, -30.0, 30.0)).astype(np.float32)
     transfer = _transfer(psf, size).astype(np.complex64)
     gain = np.abs(transfer) ** 2 * ratio
     snr = gain / (gain + 1.0)

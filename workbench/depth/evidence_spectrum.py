@@ -31,6 +31,9 @@ _SLOPE, _SLOPE_SD = -2.4, 0.8
 _BEND_SD = 0.8
 """Expected change of that slope from knot to knot, times the knots' distance."""
 _DIRECTION_SD = 0.8
+_RIDGE_WIDTH, _RIDGE_SD = 0.012, 2.0
+"""Width (cycles per pixel) of a ridge of power along the texture's axis or across it, and how steeply it may fall off:
+wood grain, planks and shelves hold all of their power within a few frequencies of one line through the origin."""
 _LOW, _STEP, _CELLS = -12.0, 0.125, 256
 """The likelihood is tabulated over log(I/n) and log(S k/n)."""
 _LEAST_LOG = -60.0
@@ -55,12 +58,32 @@ class SpectralFit:
         float64 (D, P): log S on its basis.
     log_noise
         float64 (D,): log n.
+    axis
+        Direction (rad) in the frequency plane that holds most of the power; the basis has ridges along and across it.
     """
 
     log_likelihood: FloatArray
     null: float
     coefficients: FloatArray
     log_noise: FloatArray
+    axis: float
+
+    def texture(self, row: int) -> TextureSpectrum:
+        """What was fitted for one blur."""
+        return TextureSpectrum(self.coefficients[row], float(self.log_noise[row]), self.axis)
+
+
+@dataclass(frozen=True, slots=True)
+class TextureSpectrum:
+    """Texture and noise fitted for one blur: log S on its basis, float64 (P,), log n, and the basis's axis (rad)."""
+
+    coefficients: FloatArray
+    log_noise: float
+    axis: float
+
+    def log_power(self, modulus: FloatArray, direction: FloatArray) -> FloatArray:
+        """Log S at flattened frequencies, float64 (F,)."""
+        return np.asarray(basis(modulus, direction, self.axis) @ self.coefficients)
 
 
 def frequencies(size: int) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
@@ -71,8 +94,8 @@ def frequencies(size: int) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
     return modulus, np.arctan2(fy + 0 * fx, fx + 0 * fy), used
 
 
-def basis(modulus: FloatArray, direction: FloatArray) -> FloatArray:
-    """Basis of log S for flattened frequencies, float64 (F, P)."""
+def basis(modulus: FloatArray, direction: FloatArray, axis: float) -> FloatArray:
+    """Basis of log S for flattened frequencies, float64 (F, P): radial hats, gentle turns, ridges along and across."""
     u = np.log(np.maximum(modulus, 1e-4))
     cell = np.clip(np.searchsorted(_KNOTS, u) - 1, 0, _KNOTS.size - 2)
     share = (u - _KNOTS[cell]) / (_KNOTS[cell + 1] - _KNOTS[cell])  # beyond 0..1 outside: extrapolates
@@ -82,7 +105,15 @@ def basis(modulus: FloatArray, direction: FloatArray) -> FloatArray:
     fine = np.clip((u - _KNOTS[0]) / (_KNOTS[-1] - _KNOTS[0]), 0.0, 1.0)
     c2, s2 = np.cos(2 * direction), np.sin(2 * direction)
     turns = [c2 * (1 - fine), c2 * fine, s2 * (1 - fine), s2 * fine, np.cos(4 * direction), np.sin(4 * direction)]
-    return np.concatenate([hats, np.stack(turns, axis=1)], axis=1)
+    away = (modulus * np.sin(direction - axis), modulus * np.cos(direction - axis))
+    ridges = [-np.log1p((f / _RIDGE_WIDTH) ** 2) for f in away]
+    return np.concatenate([hats, np.stack(turns + ridges, axis=1)], axis=1)
+
+
+def _axis(power: FloatArray, modulus: FloatArray, direction: FloatArray) -> float:
+    """Direction (rad) of most of the gradients' power: the structure tensor's, taken in the frequency plane."""
+    weight = np.maximum(power - np.percentile(power, 25), 0.0) * modulus**2
+    return 0.5 * float(np.arctan2((weight * np.sin(2 * direction)).sum(), (weight * np.cos(2 * direction)).sum()))
 
 
 def _prior(width: int) -> tuple[FloatArray, FloatArray]:
@@ -100,7 +131,7 @@ def _prior(width: int) -> tuple[FloatArray, FloatArray]:
         values.append(0.0)
     for j in range(knots, width):
         turn = np.zeros(width)
-        turn[j] = 1.0 / _DIRECTION_SD
+        turn[j] = 1.0 / (_DIRECTION_SD if j < width - 2 else _RIDGE_SD)
         rows.append(turn)
         values.append(0.0)
     design, target = np.array(rows), np.array(values)
@@ -241,7 +272,8 @@ def fit_spectra(
     factor = factor or TextureFactor()
     size = power.shape[0]
     modulus, direction, used = frequencies(size)
-    terms = basis(modulus[used], direction[used])
+    axis = _axis(power[used], modulus[used], direction[used])
+    terms = basis(modulus[used], direction[used], axis)
     log_power = np.log(np.maximum(power[used], 1e-16)).astype(np.float32)
     log_expected = np.log(np.maximum(expected[:, used], 1e-9)).astype(np.float32)
     worth = min(_AVERAGES, key=lambda a: abs(np.log(a / max(averages, 1.0))))
@@ -261,7 +293,7 @@ def fit_spectra(
     likelihood, coefficients, log_noise = _scan(
         log_power, log_expected, *arguments, *start, noise, steps, correlation, *tables
     )
-    return SpectralFit(likelihood, _noise_alone(log_power, tables[0], correlation), coefficients, log_noise)
+    return SpectralFit(likelihood, _noise_alone(log_power, tables[0], correlation), coefficients, log_noise, axis)
 
 
 def _noise_alone(log_power: Float32, table: Float32, correlation: float) -> float:
