@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.bank import Bank
-from calibration.errors import DepthListError, FrameError, PointError
+from calibration.doubled import find_doubled
+from calibration.errors import DepthListError, FitError, FrameError, PointError
 from calibration.exif import known_camera
 from calibration.image import FrameInfo, LinearImage, Recipe
 from calibration.lens_fit import LensFit, aperture_radius_mm, check_aperture, check_depths, fit_lens
@@ -34,6 +35,7 @@ from calibration.psf import (
 )
 from calibration.quality import Quality, judge
 from calibration.raw import average_darks, develop, subtract_dark
+from calibration.swapped import swapped_pair
 from calibration.template import Spot, TemplateFit, fit_spots
 
 FloatArray = NDArray[np.float64]
@@ -262,14 +264,23 @@ def _measure_field(
     stacks = tuple(stack_repeats(repeats) for repeats in track)
 
     def fitted(dot_radius: FloatArray, start: TemplateFit | None) -> tuple[TemplateFit, LensFit]:
-        spots = [
-            Spot(s.point.values, np.sqrt(s.point.variance), disc_variance(r))
-            for s, r in zip(stacks, dot_radius, strict=True)
-        ]
+        spots = [_spot(s.point, r) for s, r in zip(stacks, dot_radius, strict=True)]
         fit = fit_spots(spots, 1.0 / nominal, start=start)
         radius = np.array([s.radius_px for s in fit.spots])
         errors = np.array([s.radius_se_px for s in fit.spots])
-        return fit, fit_lens(nominal, radius, errors, apply_zero=options.apply_zero)
+        pair = None
+        try:
+            lens = fit_lens(nominal, radius, errors, apply_zero=options.apply_zero)
+            if any(lens.suspect):
+                pair = swapped_pair(nominal, radius, errors, apply_zero=options.apply_zero)
+        except FitError:
+            for side in (1.0, -1.0):  # exchanged ends of the range turn the guess of the sides around
+                pair = pair or swapped_pair(nominal, side * radius, errors, apply_zero=options.apply_zero)
+            if pair is None:
+                raise
+        if pair is not None:
+            raise DepthListError(_swapped_message(track, nominal, pair))
+        return fit, lens
 
     dot_radius = np.zeros(nominal.size)
     fit, lens = fitted(dot_radius, None)
@@ -283,6 +294,7 @@ def _measure_field(
         )
         if dot_radius.max() >= 0.1:
             fit, lens = fitted(dot_radius, fit)
+    _refuse_doubled(track, stacks, nominal, dot_radius, fit, lens)
     chief = np.array(
         [
             (s.point.corner_yx[0] + f.centre_y, s.point.corner_yx[1] + f.centre_x)
@@ -290,6 +302,47 @@ def _measure_field(
         ]
     )
     return _Field(stacks, fit, lens, chief, dot_radius)
+
+
+def _swapped_message(track: list[list[PointImage]], nominal: FloatArray, pair: tuple[int, int]) -> str:
+    first, second = (f"{Path(track[k][0].info.path).name} ({nominal[k] / 10:g} cm)" for k in pair)
+    return (
+        f"{first} and {second} have the blur of each other's depth: they seem to be exchanged; give each its own depth"
+    )
+
+
+def _spot(point: PointImage, dot_radius_px: float) -> Spot:
+    return Spot(point.values, np.sqrt(point.variance), disc_variance(dot_radius_px))
+
+
+def _refuse_doubled(
+    track: list[list[PointImage]],
+    stacks: Sequence[Stacked],
+    nominal: FloatArray,
+    dot_radius: FloatArray,
+    fit: TemplateFit,
+    lens: LensFit,
+) -> None:
+    """Refuse a frame that shows its point twice, one copy over the other."""
+
+    def lit(point: PointImage, radius: float) -> Spot:
+        spot = _spot(point, radius)
+        return replace(spot, values=np.where(point.support, spot.values, 0.0))
+
+    found = find_doubled(
+        [lit(s.point, r) for s, r in zip(stacks, dot_radius, strict=True)],
+        [[lit(p, r) for p in repeats] for repeats, r in zip(track, dot_radius, strict=True)],
+        nominal,
+        fit,
+        lens,
+    )
+    if found is not None:
+        path = track[found.depth][found.repeat].info.path
+        raise PointError(
+            "doubled",
+            f"{path}: shows its point twice, {found.copy.distance_px:.0f} px apart (the fainter with "
+            f"{100 * found.copy.share:.0f} % of the light); cover reflections, and take it again or leave it out",
+        )
 
 
 def _assemble(

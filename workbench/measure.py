@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from calibration.bank import Bank, check_fits
 from calibration.image import LinearImage
 from calibration.raw import develop
-from workbench.banks import open_bank
+from workbench.banks import open_bank, quality_verdict
 from workbench.depth.allfocus import all_focus, depth_map
 from workbench.depth.depth_regions import regions_of_one_depth
 from workbench.depth.methods import DEFAULT_METHOD, estimate_depths, needs_second_view, option_values
@@ -175,6 +175,7 @@ def measure(path: Path, bank: Bank, bank_ref: str, options: MeasureOptions) -> M
         estimates=estimates,
         depth_map_mm=depth_map(labels, estimates),
         all_focus=all_focus(image, bank, labels, estimates),
+        bank_quality=quality_verdict(bank),
         seconds=time.perf_counter() - started,
     )
 

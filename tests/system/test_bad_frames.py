@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import rawpy
 from command_line import SENSOR, TAGS, call, dng, listing, refused, spots
 
 VICTIM = "psf_130cm.dng"
@@ -75,6 +76,29 @@ def test_a_frame_without_one_good_point_is_named_with_the_reason(
     dng(frames / VICTIM, mosaic)
     (frames / DARK).unlink()
     _refused(project, frames, VICTIM, *words)
+
+
+def _copied_over_itself(path: Path, share: float) -> None:
+    """Lay a fainter copy of the point over it, 24 photosites away."""
+    with rawpy.imread(str(path)) as raw:
+        signal = raw.raw_image_visible.astype(float) - TAGS.black
+    both = signal + share * np.roll(signal, (14, -20), (0, 1))
+    dng(path, np.clip(TAGS.black + both / (1 + share), 0, TAGS.white))
+
+
+@pytest.mark.parametrize("share", [1.0, 0.3, 0.15])
+def test_a_frame_whose_second_point_lies_within_the_first_ones_light_is_named(
+    project: Path, frames: Path, share: float
+) -> None:
+    _copied_over_itself(frames / "psf_105cm.dng", share)
+    _refused(project, frames, "psf_105cm.dng", "twice", "12 px apart")
+
+
+def test_two_frames_under_each_others_depth_are_both_named(project: Path, frames: Path) -> None:
+    (frames / "psf_105cm.dng").rename(frames / "psf.tmp")
+    (frames / "psf_205cm.dng").rename(frames / "psf_105cm.dng")
+    (frames / "psf.tmp").rename(frames / "psf_205cm.dng")
+    _refused(project, frames, str(frames), "psf_105cm.dng (105 cm)", "psf_205cm.dng (205 cm)", "exchanged")
 
 
 @pytest.mark.parametrize(

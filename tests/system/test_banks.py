@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import scipy.io
 import tifffile
-from command_line import call, done, listing, refused
+from command_line import Outcome, call, done, listing, refused
 
 from calibration.bank import Bank, load_bank
 
@@ -100,6 +100,46 @@ def test_roll_back_certify_and_revoke(project: Path, tmp_path: Path) -> None:
 
     done("-C", project, "bank", "revoke", "active", "--reason", "lens was moved", "--yes")
     refused(call("-C", project, "bank", "show"), "no bank is active")
+
+
+@pytest.fixture
+def bad_bank(project: Path, frames: Path) -> Outcome:
+    """What is said when a bank is made of frames of which one was taken at another depth than its name says."""
+    (frames / "psf_205cm.dng").rename(frames / "psf_190cm.dng")
+    return call("-C", project, "calibrate", "--frames", frames, "--json")
+
+
+def test_a_bad_bank_is_kept_but_not_activated_and_the_operator_is_told(project: Path, bad_bank: Outcome) -> None:
+    good = _id(project, "active")
+    assert bad_bank.code == 3
+    assert (bad_bank.only["version"], bad_bank.only["state"]) == (2, "registered")
+    assert bad_bank.only["quality"]["verdict"] == "bad"
+    said = bad_bank.err.splitlines()[-1]
+    for words in ("v2", "not activated", "quality is bad", "190 cm", "workbench bank activate v2 --force"):
+        assert words in said
+    assert _id(project, "active") == good
+    assert call("-C", project, "bank", "verify", "v2").code == 3
+    assert call("-C", project, "bank", "certify", "v2", "--note", "x").code == 3
+
+
+def test_a_bad_bank_is_activated_by_force_only_and_every_measurement_says_so(
+    project: Path, bad_bank: Outcome, photograph: Path
+) -> None:
+    refusal = call("-C", project, "bank", "activate", "v2")
+    assert (refusal.code, refusal.out, len(refusal.err.splitlines())) == (3, "", 1)
+    assert "--force" in refusal.err
+    assert done("-C", project, "bank", "activate", "v2", "--force", "--json").only["state"] == "active"
+    quick = ("--roi", "0,0,64,64", "--method", "sharpness", "--set", "iterations=2", "--json")
+    by_bad = done("-C", project, "measure", photograph, *quick)
+    assert by_bad.only["bank_quality"] == "bad"
+    assert "quality of bank" in by_bad.err
+    assert "190 cm" in by_bad.err
+    assert "The quality of the bank is bad" in (project / by_bad.only["files"]["report"]).read_text(encoding="utf-8")
+    by_good = done("-C", project, "measure", photograph, "--bank", "v1", *quick)
+    assert by_good.only["bank_quality"] in ("good", "suspect")
+    assert "quality" not in by_good.err
+    again = done("-C", project, "bank", "activate", "v1", "--json").only
+    assert again["state"] == "active"
 
 
 def _id(project: Path, ref: str) -> str:

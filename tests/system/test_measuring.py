@@ -24,7 +24,7 @@ FIELDS = {
 
 def test_a_measurement_says_where_its_files_lie_and_they_hold_what_is_promised(project: Path, photograph: Path) -> None:
     found = done("--json", "-C", project, "measure", photograph, "--roi", "30,40,120,90", *QUICK).only
-    assert set(found) == {"image", "bank", "method", "regions", "files", "options"}
+    assert set(found) == {"image", "bank", "bank_quality", "method", "regions", "files", "options"}
     (region,) = found["regions"]
     assert set(region) == FIELDS
     assert 0 < region["pixels"] <= 120 * 90  # only the inner part counts

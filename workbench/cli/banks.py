@@ -18,7 +18,7 @@ from calibration.registry import Entry, read_registry
 from calibration.registry import activate as activate_bank
 from calibration.registry import certify as certify_bank
 from calibration.registry import revoke as revoke_bank
-from workbench.banks import open_bank, resolve, store_bank
+from workbench.banks import is_bad, open_bank, quality_reasons, quality_verdict, resolve, store_bank
 from workbench.cli.common import LENGTH, Context, command_options
 from workbench.errors import CheckFailedError, InputError
 from workbench.files import replacing
@@ -83,6 +83,22 @@ def bank_rows(bank: Bank, entry: Entry) -> list[tuple[str, str]]:
     return rows
 
 
+def check_activated(bank: Bank, entry: Entry) -> None:
+    """Say so where a bank was stored, but is too bad to be used unseen.
+
+    Raises
+    ------
+    CheckFailedError
+        Its quality is bad and it isn't the active one.
+    """
+    if is_bad(bank) and not entry.active:
+        raise CheckFailedError(
+            f"bank v{entry.version} {entry.id} was stored but not activated: its quality is bad "
+            f"({quality_reasons(bank)}); mend what its report shows, or use it as it is with "
+            f"`workbench bank activate v{entry.version} --force`"
+        )
+
+
 def _rms(values: Any) -> float:
     finite = [float(v) ** 2 for v in values if math.isfinite(v)]
     return math.sqrt(sum(finite) / len(finite)) if finite else float("nan")
@@ -103,7 +119,7 @@ def list_banks(context: Context) -> None:
     rows = []
     for entry in entries:
         loaded = load_bank(project.banks / entry.id)
-        verdict = loaded.manifest.get("quality", {}).get("verdict", "unknown")
+        verdict = quality_verdict(loaded)
         reach = f"{cm(loaded.depths_mm[0], 0)} to {cm(loaded.depths_mm[-1], 0)}"
         rows.append((f"v{entry.version}", entry.id, entry.state, str(len(loaded.depths_mm)), reach, verdict))
         context.emit(bank_summary(loaded, entry))
@@ -159,13 +175,10 @@ def diff(context: Context, first: str, second: str) -> None:
 def verify(context: Context, ref: str) -> None:
     """Check every byte of a bank against its hashes, and its quality against the limits."""
     loaded, entry = open_bank(context.project(), ref)
-    quality = loaded.manifest.get("quality", {})
-    context.emit(
-        {"id": loaded.id, "version": entry.version, "sound": True, "quality": quality.get("verdict", "unknown")}
-    )
+    context.emit({"id": loaded.id, "version": entry.version, "sound": True, "quality": quality_verdict(loaded)})
     context.say(f"bank v{entry.version} {loaded.id}: every byte is as it was written")
-    if quality.get("verdict") == "bad":
-        raise CheckFailedError(f"bank v{entry.version}: quality is bad: {'; '.join(quality.get('reasons', ()))}")
+    if is_bad(loaded):
+        raise CheckFailedError(f"bank v{entry.version}: its quality is bad ({quality_reasons(loaded)})")
 
 
 @bank.command()
@@ -176,7 +189,7 @@ def certify(context: Context, ref: str, note: str) -> None:
     """Certify a bank: somebody looked at it and vouches for it."""
     project = context.project()
     loaded, _ = open_bank(project, ref)
-    if loaded.manifest.get("quality", {}).get("verdict") == "bad":
+    if is_bad(loaded):
         raise CheckFailedError(
             f"bank {ref}: its quality is bad, so it can't be certified; see `workbench bank show {ref}`"
         )
@@ -185,11 +198,17 @@ def certify(context: Context, ref: str, note: str) -> None:
 
 @bank.command()
 @click.argument("ref")
+@click.option("--force", is_flag=True, help="Even though its quality is bad.")
 @command_options
-def activate(context: Context, ref: str) -> None:
+def activate(context: Context, ref: str, force: bool) -> None:
     """Make a bank the active one (an older one: a roll-back)."""
     project = context.project()
-    open_bank(project, ref)
+    loaded, entry = open_bank(project, ref)
+    if is_bad(loaded) and not force:
+        raise CheckFailedError(
+            f"bank v{entry.version} {entry.id}: its quality is bad ({quality_reasons(loaded)}); look at its report, "
+            "then activate it anyway with --force"
+        )
     _told(context, activate_bank(project.banks, ref))
 
 
@@ -254,6 +273,7 @@ def import_(context: Context, path: Path, depths: str | None, recipe: str, pixel
     entry = store_bank(project, made).entry
     context.table(("", ""), bank_rows(made, entry), title=f"Bank v{entry.version} {made.id}")
     context.emit(bank_summary(made, entry))
+    check_activated(made, entry)
 
 
 @bank.command()
@@ -270,6 +290,7 @@ def learn(context: Context, ref: str, seed: int) -> None:
     made = replace(loaded, extras={**loaded.extras, **learn_weights(loaded, seed)})
     new = store_bank(project, made).entry
     _told(context, new)
+    check_activated(made, new)
 
 
 @bank.command()

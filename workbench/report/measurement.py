@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from calibration.bank import Bank
+from workbench.banks import is_bad, quality_reasons
 from workbench.depth.estimate import DepthEstimate
 from workbench.figures import curves, pictures, sharpness
 from workbench.figures.perspective import perspective
@@ -85,6 +86,7 @@ def write_measurement_report(
             scene=_scene_figures(measurement),
             decisions=_decision_figures(measurement, truth),
             workings=_working_figures(estimates),
+            bad_bank=quality_reasons(bank) if is_bad(bank) else "",
             provenance=_measurement_provenance(measurement, bank),
         ),
     )
@@ -235,7 +237,8 @@ def _measurement_provenance(measurement: Measurement, bank: Bank) -> list[tuple[
     ]  # fmt: skip
     lens = bank.lens
     calibration: Facts = [
-        ("Bank", measurement.bank_id), ("Asked for as", measurement.bank_ref), ("Recipe", bank.recipe),
+        ("Bank", measurement.bank_id), ("Asked for as", measurement.bank_ref), ("Quality", measurement.bank_quality),
+        ("Recipe", bank.recipe),
         ("Depths", f"{bank.depths_mm.size}, {cm(bank.depths_mm[0])} to {cm(bank.depths_mm[-1])} cm"),
         ("Focus", f"{lens.focus_mm / 10:.2f} ± {lens.focus_se_mm / 10:.2f} cm"),
         ("Made by", f"depth-workbench {bank.manifest.get('software', UNKNOWN)}"),
