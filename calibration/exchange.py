@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import io
 import json
 from collections.abc import Sequence
 from pathlib import Path
@@ -135,7 +136,9 @@ def export_tiff(bank: Bank, path: str | Path) -> Path:
         "depths_mm": bank.depths_mm.tolist(),
     }
     metadata["Info"] = json.dumps(facts)
-    tifffile.imwrite(path, bank.central.astype(np.float32), imagej=True, metadata=metadata)
+    written = io.BytesIO()  # into a file that can't grow, tifffile's numpy writes with an error that says nothing
+    tifffile.imwrite(written, bank.central.astype(np.float32), imagej=True, metadata=metadata)
+    path.write_bytes(written.getvalue())
     return path
 
 

@@ -174,7 +174,7 @@ def run(group: click.Group, argv: Sequence[str] | None = None) -> int:
     except CheckFailedError as error:
         return _fail(str(error), EXIT_CHECK)
     except RigError as error:
-        full = getattr(error.__cause__, "errno", None) in (errno.ENOSPC, errno.EDQUOT)
+        full = getattr(error.__cause__, "errno", None) in _FULL
         return _fail(str(error), EXIT_INPUT if full else EXIT_DEVICE)
     except (BrokenPipeError, SystemExit):  # rich and click end the process when stdout is closed
         return _reader_has_gone()
@@ -188,9 +188,13 @@ def run(group: click.Group, argv: Sequence[str] | None = None) -> int:
         return _internal(error)
 
 
-_ADVICE = {
+_FULL = {
     errno.ENOSPC: "free some space and run again",
     errno.EDQUOT: "free some space and run again",
+    errno.EFBIG: "raise the limit on the size of files (`ulimit -f`), or name a disk that takes larger ones",
+}
+_ADVICE = {
+    **_FULL,
     errno.EACCES: "change its permissions or name another place",
     errno.EPERM: "change its permissions or name another place",
     errno.EROFS: "name another place",
