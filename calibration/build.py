@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 
 from calibration.bank import Bank
 from calibration.doubled import find_doubled
-from calibration.errors import DepthListError, FitError, FrameError, PointError
+from calibration.errors import DepthListError, FitError, PointError
 from calibration.exif import known_camera
+from calibration.frame_checks import Distinct, check_dark, check_same_camera, longest_exposure
 from calibration.image import FrameInfo, LinearImage, Recipe
 from calibration.lens_fit import LensFit, aperture_radius_mm, check_aperture, check_depths, fit_lens
 from calibration.optics import image_distance_mm
@@ -131,17 +132,25 @@ def build_bank(
     options = options or BuildOptions()
     frames = sorted(frames, key=lambda frame: frame.depth_nominal_mm)
     check_depths([frame.depth_nominal_mm for frame in frames])
-    dark_by_shape = _average_darks(darks, options)
+    distinct = Distinct()
+    longest = longest_exposure(source for frame in frames for source in frame.sources)
+
+    def averaged(sources: Sequence[Source]) -> dict[tuple[int, ...], LinearImage]:
+        return _average_darks(sources, longest, distinct, options)
+
+    dark_by_shape = averaged(darks)
     measured: list[tuple[PointFrame, list[list[PointImage]]]] = []
     rejected: list[Rejected] = []
     infos: list[tuple[float, FrameInfo]] = []
     pitch: float | None = None
     for frame in frames:
         repeats: list[list[PointImage]] = []
-        dark_here = _average_darks(frame.offs, options) if frame.offs else dark_by_shape
+        dark_here = averaged(frame.offs) if frame.offs else dark_by_shape
         for image in _developed(frame.sources, dark_here, options):
+            distinct.check(image.info)
             infos.append((frame.depth_nominal_mm, image.info))
-            pitch = _same_camera(infos, pitch, image)
+            check_same_camera(infos[0][1], image.info)
+            pitch = pitch or image.pixel_pitch_mm
             try:
                 repeats.append(find_points(image, expected=options.expected_points, options=options.point))
             except PointError as error:
@@ -175,32 +184,15 @@ def _developed(
         yield image
 
 
-def _average_darks(darks: Sequence[Source], options: BuildOptions) -> dict[tuple[int, ...], LinearImage]:
+def _average_darks(
+    darks: Sequence[Source], longest: FrameInfo | None, distinct: Distinct, options: BuildOptions
+) -> dict[tuple[int, ...], LinearImage]:
     groups: dict[tuple[int, ...], list[LinearImage]] = {}
     for image in _developed(darks, {}, options):
+        distinct.check(image.info)
+        check_dark(image, longest, options.point)
         groups.setdefault(image.planes.shape, []).append(image)
     return {shape: average_darks(group) for shape, group in groups.items()}
-
-
-def _same_camera(infos: list[tuple[float, FrameInfo]], pitch: float | None, image: LinearImage) -> float | None:
-    """Refuse a frame of another camera than the first; returns the pitch."""
-    first, this = infos[0][1], image.info
-    if (first.model, first.cfa) != (this.model, this.cfa):
-        raise FrameError(
-            f"{this.path}: taken with {this.model or 'an unnamed camera'} {this.cfa}, but {first.path} with "
-            f"{first.model or 'an unnamed camera'} {first.cfa}; keep frames of one camera"
-        )
-    for what, unit, theirs, ours, tolerance in (
-        ("pixel pitch", " mm", this.pixel_pitch_mm, first.pixel_pitch_mm, 0.01),
-        ("focal length", " mm", this.focal_length_mm, first.focal_length_mm, 0.01),
-        ("f-number", "", this.f_number, first.f_number, 0.05),
-    ):
-        if theirs and ours and abs(theirs / ours - 1.0) > tolerance:
-            raise FrameError(
-                f"{this.path}: {what} is {theirs:g}{unit}, but {ours:g}{unit} in {first.path}; "
-                "keep frames of one camera and one setting of the lens"
-            )
-    return pitch or image.pixel_pitch_mm
 
 
 def _pool_noise_gain(

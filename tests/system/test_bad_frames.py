@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -125,6 +126,18 @@ def test_a_frame_with_another_colour_pattern_is_named(project: Path, frames: Pat
 def test_a_dark_frame_of_another_camera_is_named(project: Path, frames: Path) -> None:
     dng(frames / DARK, spots([]), cfa=bytes([2, 1, 1, 0]))
     _refused(project, frames, DARK, "BGGR")
+
+
+def test_a_dark_frame_that_is_none_is_named_with_the_reason(project: Path, frames: Path) -> None:
+    dng(frames / DARK, spots([]), tags=replace(TAGS, exposure_s=30.0))
+    _refused(project, frames, DARK, "exposed 30 s", "point frame")
+    dng(frames / DARK, spots([(0.5, 0.5)], level=1.5, radius=200))
+    _refused(project, frames, DARK, "saturated")
+    shutil.copy(frames / VICTIM, frames / DARK)
+    _refused(project, frames, DARK, "point")
+    (frames / DARK).unlink()
+    shutil.copy(frames / VICTIM, frames / "psf_130cm_2.dng")
+    _refused(project, frames, "psf_130cm_2.dng", "copy of psf_130cm.dng")
 
 
 def _table(frames: Path, *lines: str, header: str = "file,depth_cm,kind") -> None:

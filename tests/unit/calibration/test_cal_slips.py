@@ -54,7 +54,7 @@ def test_a_second_point_within_the_first_ones_light_is_named(
 def test_of_repeats_the_doubled_one_is_named() -> None:
     good = point_image(800.0)
     spoilt = _doubled(800.0, 0.3, (-2, 6))
-    spoilt = replace(spoilt, info=replace(spoilt.info, path="psf_080cm_2.dng"))
+    spoilt = replace(spoilt, info=replace(spoilt.info, path="psf_080cm_2.dng", sha256="another"))
     with pytest.raises(PointError, match=r"psf_080cm_2\.dng: shows its point twice"):
         build_bank(_frames(800.0, good, spoilt))
 
