@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ import tifffile
 from command_line import Outcome, call, done, listing, refused
 
 from calibration.bank import Bank, load_bank
+from calibration.exchange import export_npz
 
 
 def _bank_directory(project: Path) -> Path:
@@ -32,6 +34,55 @@ def test_an_exported_bank_is_the_same_bank_in_another_project(project: Path, tmp
     assert made == done("-C", project, "bank", "show", "--json").only
     done("-C", project, "bank", "import", exported)
     assert done("-C", project, "bank", "list", "--json").only["version"] == 1
+
+
+@pytest.mark.parametrize("suffix", [".npz", ".tif"])
+def test_options_that_contradict_the_file_are_refused_and_those_that_agree_are_taken(
+    project: Path, tmp_path: Path, suffix: str
+) -> None:
+    original = _central(project)
+    exported = tmp_path / f"bank{suffix}"
+    done("-C", project, "bank", "export", "active", exported)
+    before = listing(project)
+    refused(
+        call("-C", project, "bank", "import", exported, "--recipe", "native"), exported.name, "superpixel", "native"
+    )
+    refused(call("-C", project, "bank", "import", exported, "--pixel-pitch", "4.3um"), exported.name, "8.60 um", "4.30")
+    assert listing(project) == before
+    depths = ",".join(f"{z}mm" for z in original.depths_mm)
+    agreeing = ("--recipe", "superpixel", "--pixel-pitch", "8.6um", "--depths", depths)
+    made = done("-C", project, "bank", "import", exported, *agreeing, "--json").only
+    if suffix == ".npz":
+        assert made["id"] == original.id
+    assert (made["recipe"], made["pixel_pitch_mm"]) == ("superpixel", pytest.approx(0.0086))
+    other = ",".join(f"{z + 5}mm" for z in original.depths_mm)
+    made = done("-C", project, "bank", "import", exported, "--depths", other, "--json").only
+    assert made["depths_mm"] == pytest.approx([z + 5 for z in original.depths_mm], abs=0.001)
+    assert (made["recipe"], made["pixel_pitch_mm"]) == ("superpixel", pytest.approx(0.0086))
+    assert made["camera"] == original.manifest["camera"]
+
+
+def test_a_pitch_fills_in_what_an_exported_bank_does_not_know(project: Path, tmp_path: Path) -> None:
+    exported = tmp_path / "bank.npz"
+    export_npz(replace(_central(project), pixel_pitch_mm=None), exported)
+    made = done("-C", project, "bank", "import", exported, "--pixel-pitch", "8.6um", "--json").only
+    assert made["pixel_pitch_mm"] == pytest.approx(0.0086)
+    assert made["quality"]["verdict"] in ("good", "suspect")
+
+
+@pytest.mark.parametrize("pitch", ["8.6", "8.6mm", "0um", "-4um", "wide"])
+def test_a_pitch_that_no_sensor_has_is_refused(project: Path, tmp_path: Path, pitch: str) -> None:
+    np.save(tmp_path / "stack.npy", _central(project).central)
+    told = ("--depths", "80,100,120", "--pixel-pitch", pitch)
+    refused(call("-C", project, "bank", "import", tmp_path / "stack.npy", *told), "--pixel-pitch", pitch, "4.3um")
+
+
+def test_long_lines_are_not_cut_where_no_terminal_is(project: Path) -> None:
+    note = "chart at 100 cm read 100.1 cm; " * 20
+    done("-C", project, "bank", "certify", "v1", "--note", note)
+    shown = done("-C", project, "bank", "show", "v1").out.splitlines()
+    assert any(line.startswith("state") and note.strip() in line for line in shown)
+    assert all(line == line.rstrip() for line in shown)
 
 
 def test_an_exported_stack_comes_back_with_the_same_psfs(project: Path, tmp_path: Path) -> None:

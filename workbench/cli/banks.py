@@ -19,13 +19,10 @@ from calibration.registry import activate as activate_bank
 from calibration.registry import certify as certify_bank
 from calibration.registry import revoke as revoke_bank
 from workbench.banks import is_bad, open_bank, quality_reasons, quality_verdict, resolve, store_bank
-from workbench.cli.common import LENGTH, Context, command_options
+from workbench.cli.common import PITCH, Context, command_options
 from workbench.errors import CheckFailedError, InputError
 from workbench.files import replacing
 from workbench.units import cm, length_mm
-
-PITCHES_MM = (0.0005, 0.1)
-"""Smallest and largest pitch that pixels may have."""
 
 
 def bank_summary(bank: Bank, entry: Entry) -> dict[str, Any]:
@@ -255,20 +252,17 @@ def parse_depths(text: str) -> list[float]:
 @bank.command("import")
 @click.argument("path", type=click.Path(path_type=Path))
 @click.option("--depths", help="Depth of each plane: 60,70,80 (cm), or a file with one depth a line.")
-@click.option("--recipe", type=click.Choice(["linear", "superpixel", "native"]), default="superpixel",
-              show_default=True, help="How the images were developed that the PSFs were taken from.")  # fmt: skip
-@click.option("--pixel-pitch", type=LENGTH, help="Pitch of the PSFs' pixels, e.g. 8.6um.")
+@click.option("--recipe", type=click.Choice(["linear", "superpixel", "native"]),
+              help="How the images were developed that the PSFs were taken from.  [default: what the file says, "
+              "else superpixel]")  # fmt: skip
+@click.option("--pixel-pitch", type=PITCH, help="Pitch of the PSFs' pixels, e.g. 8.6um.")
 @command_options
-def import_(context: Context, path: Path, depths: str | None, recipe: str, pixel_pitch: float | None) -> None:
+def import_(context: Context, path: Path, depths: str | None, recipe: str | None, pixel_pitch: float | None) -> None:
     """Make a bank from a stack of PSFs: .npy, .npz, .mat or .tif."""
-    if pixel_pitch is not None and not PITCHES_MM[0] <= pixel_pitch <= PITCHES_MM[1]:
-        raise InputError(
-            f"--pixel-pitch: {1000 * pixel_pitch:g} um is no pitch of pixels; give it with its unit, e.g. 8.6um"
-        )
     project = context.project()
     made = import_bank(
         context.existing(path, "stack of PSFs"), parse_depths(depths) if depths else None,
-        recipe=recipe, pixel_pitch_mm=pixel_pitch,
+        recipe=recipe, pixel_pitch_mm=pixel_pitch, default_recipe="superpixel",
     )  # fmt: skip
     entry = store_bank(project, made).entry
     context.table(("", ""), bank_rows(made, entry), title=f"Bank v{entry.version} {made.id}")
