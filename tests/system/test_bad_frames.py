@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import rawpy
-from command_line import SENSOR, TAGS, call, dng, listing, refused, spots
+from command_line import SENSOR, TAGS, call, dng, done, listing, refused, spots
 
 VICTIM = "psf_130cm.dng"
 DARK = "dark.dng"
@@ -215,6 +215,15 @@ def test_a_name_without_a_depth_is_refused(project: Path, frames: Path) -> None:
 def test_depths_on_the_command_line_do_not_go_with_files(project: Path, frames: Path) -> None:
     refused(call("-C", project, "calibrate", "--frames", frames, "--from", "60cm"), "--frames", "--from")
     refused(call("-C", project, "calibrate", "--apply-zero"), "--apply-zero", "--frames")
+
+
+def test_three_depths_are_a_bank_that_says_why_it_has_no_zero(project: Path, frames: Path) -> None:
+    for name in (A, B):
+        (frames / name).unlink()
+    shown = done("-C", project, "calibrate", "--frames", frames).out
+    (zero,) = (line for line in shown.splitlines() if line.startswith("stage zero"))
+    assert "3 depths can't tell it, it takes 5" in zero
+    assert "nan" not in shown
 
 
 def test_the_zero_is_not_applied_where_it_cannot_be_found(project: Path, frames: Path) -> None:

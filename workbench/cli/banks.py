@@ -14,6 +14,7 @@ from calibration.bank import Bank, load_bank
 from calibration.errors import BankError
 from calibration.exchange import diff as diff_banks
 from calibration.exchange import export_npz, export_tiff, import_bank
+from calibration.lens_fit import MIN_DEPTHS_FOR_ZERO
 from calibration.registry import Entry, read_registry
 from calibration.registry import activate as activate_bank
 from calibration.registry import certify as certify_bank
@@ -62,7 +63,10 @@ def bank_rows(bank: Bank, entry: Entry) -> list[tuple[str, str]]:
     quality = bank.manifest.get("quality", {})
     pitch = f"{bank.pixel_pitch_mm * 1000:.2f} um" if bank.pixel_pitch_mm else "unknown pitch"
     camera = bank.manifest.get("camera", {})
-    applied = "added to the depths" if lens.zero_applied else "reported, not added to the depths"
+    zero = f"not known: {len(bank.depths_mm)} depths can't tell it, it takes {MIN_DEPTHS_FOR_ZERO}"
+    if math.isfinite(lens.zero_mm):
+        applied = "added to the depths" if lens.zero_applied else "reported, not added to the depths"
+        zero = f"{lens.zero_mm:.2f} +- {lens.zero_se_mm:.2f} mm, {applied}"
     rows = [
         ("state", f"{entry.state}{f' ({entry.certificate})' if entry.certificate else ''}"),
         ("depths", f"{len(bank.depths_mm)}, {cm(bank.depths_mm[0])} to {cm(bank.depths_mm[-1])}"),
@@ -70,7 +74,7 @@ def bank_rows(bank: Bank, entry: Entry) -> list[tuple[str, str]]:
         ("camera", f"{camera.get('make', '')} {camera.get('model', '')}".strip() or "unknown"),
         ("focus distance", f"{cm(lens.focus_mm, 2)} +- {cm(lens.focus_se_mm, 2)}"),
         ("scale (radius at infinity)", f"{lens.scale_px:.3f} +- {lens.scale_se_px:.3f} px"),
-        ("stage zero", f"{lens.zero_mm:.2f} +- {lens.zero_se_mm:.2f} mm, {applied}"),
+        ("stage zero", zero),
         ("lens fit residual", f"{_rms(lens.residual_px):.3f} px RMS"),
         ("quality", f"{quality.get('verdict', 'unknown')}{''.join(f'; {r}' for r in quality.get('reasons', ()))}"),
     ]
@@ -149,9 +153,13 @@ def diff(context: Context, first: str, second: str) -> None:
     if found["same"]:
         context.say("The banks are identical.")
         return
-    for name, unit in (("focus_mm", "mm"), ("scale_px", "px"), ("zero_mm", "mm")):
+    for name, words, per_unit, unit in (
+        ("focus_mm", "focus distance", 10.0, "cm"),
+        ("scale_px", "scale", 1.0, "px"),
+        ("zero_mm", "stage zero", 1.0, "mm"),
+    ):
         value = found[name]
-        context.say(f"{name.rsplit('_', 1)[0]}: {'unknown' if value is None else f'{value:+.3f} {unit}'}")
+        context.say(f"{words}: {'unknown' if value is None else f'{value / per_unit:+.3f} {unit}'}")
     rows = [
         (
             cm(d["depth_mm"], 0),

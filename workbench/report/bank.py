@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from calibration.bank import Bank
+from calibration.lens_fit import MIN_DEPTHS_FOR_ZERO
 from calibration.optics import depth_from_radius
 from calibration.quality import LIMITS
 from workbench.figures import bank as bank_figures
@@ -94,7 +95,7 @@ def _lens_rows(bank: Bank) -> list[dict[str, str]]:
         ("Focus distance", lens.focus_mm / 10, lens.focus_se_mm / 10, 2, "cm", "depth at which the blur vanishes"),
         ("Blur radius at infinity", lens.scale_px, lens.scale_se_px, 3, "px", "aperture radius × f / (focus − f)"),
         ("Stage zero", lens.zero_mm / 10, lens.zero_se_mm / 10, 3, "cm", "true minus nominal depth; "
-         + ("added to all depths" if lens.zero_applied else "reported only, the depths are nominal")),
+         + _zero_note(bank)),
     ]  # fmt: skip
     radius_mm = bank.manifest.get("aperture", {}).get("radius_mm")
     if radius_mm:
@@ -104,6 +105,12 @@ def _lens_rows(bank: Bank) -> list[dict[str, str]]:
          "meaning": meaning}
         for name, value, error, digits, unit, meaning in rows
     ]  # fmt: skip
+
+
+def _zero_note(bank: Bank) -> str:
+    if not math.isfinite(bank.lens.zero_mm):
+        return f"{bank.depths_mm.size} depths can't tell it, it takes {MIN_DEPTHS_FOR_ZERO}"
+    return "added to all depths" if bank.lens.zero_applied else "reported only, the depths are nominal"
 
 
 def _radius_figure(bank: Bank) -> Shown:

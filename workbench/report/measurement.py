@@ -130,7 +130,8 @@ def _scene_figures(measurement: Measurement) -> list[Shown]:
     found = [
         shown(
             "Photograph and all-focus image",
-            "Left: the photograph. Right: each region deconvolved with the PSF of its depth, at the same exposure.",
+            "Left: the photograph. Right: each region deconvolved with the PSF of its depth, at the same exposure."
+            + ("" if measurement.labels.all() else " What is in no region stays as photographed."),
             pictures.photograph_and_all_focus(measurement), "jpeg",
         ),
         shown(
