@@ -95,8 +95,9 @@ class Context:
         if console.is_terminal:
             console.print(table)
             return
-        with console.capture() as captured:  # a file or pipe has no edge: nothing is cut or wrapped, nothing padded
-            console.print(table, width=_NO_EDGE)
+        console.width = _NO_EDGE  # a file or pipe has no edge: nothing is cut or wrapped, nothing padded
+        with console.capture() as captured:
+            console.print(table)
         for line in captured.get().splitlines():
             console.print(line.rstrip(), markup=False)
 
@@ -187,6 +188,9 @@ def run(group: click.Group, argv: Sequence[str] | None = None) -> int:
         return result if isinstance(result, int) else 0
     except click.exceptions.Exit as leave:
         return leave.exit_code
+    except click.exceptions.NoArgsIsHelpError as error:
+        print(error.format_message(), file=sys.stderr)
+        return EXIT_INPUT
     except click.UsageError as error:
         hint = f" (see `{error.ctx.command_path} --help`)" if error.ctx else ""
         return _fail(f"{error.format_message()}{hint}", EXIT_INPUT)

@@ -127,7 +127,8 @@ def _convert(name: str, text: str, kind: Any) -> Any:
     try:
         return kind(text)
     except ValueError:
-        raise MethodError(f"--set {name}={text}: not a {kind.__name__}") from None
+        wanted = "a whole number" if kind is int else "a number"
+        raise MethodError(f"--set {name}={text}: give {wanted}") from None
 
 
 def estimate_depths(
