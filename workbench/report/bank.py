@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -64,7 +63,7 @@ def write_bank_report(bank: Bank, path: Path, *, version: str = "") -> None:
             f"{who}.",
             glyphs=GLYPHS,
             verdict=quality.get("verdict"),
-            reasons=[_in_words(reason) for reason in quality.get("reasons", [])],
+            reasons=[bank_figures.in_words(reason) for reason in quality.get("reasons", [])],
             lens=_lens_rows(bank),
             lens_figures=[_radius_figure(bank)],
             psf_figures=_psf_figures(bank),
@@ -80,13 +79,6 @@ def write_bank_report(bank: Bank, path: Path, *, version: str = "") -> None:
             frames=_frame_rows(bank),
         ),
     )
-
-
-def _in_words(reason: str) -> str:
-    """Replace names of figures (``residual_px``) in a sentence by words."""
-    for name in sorted(LIMITS, key=len, reverse=True):
-        reason = re.sub(rf"\b{name}\b", bank_figures.figure_name(name), reason)
-    return reason
 
 
 def _lens_rows(bank: Bank) -> list[dict[str, str]]:

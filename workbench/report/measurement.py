@@ -14,6 +14,7 @@ from calibration.bank import Bank
 from workbench.banks import is_bad, quality_reasons
 from workbench.depth.estimate import DepthEstimate
 from workbench.figures import curves, pictures, sharpness
+from workbench.figures.bank import in_words
 from workbench.figures.perspective import perspective
 from workbench.files import write_text
 from workbench.measurement import Measurement
@@ -86,7 +87,7 @@ def write_measurement_report(
             scene=_scene_figures(measurement),
             decisions=_decision_figures(measurement, truth),
             workings=_working_figures(estimates),
-            bad_bank=quality_reasons(bank) if is_bad(bank) else "",
+            bad_bank=in_words(quality_reasons(bank)) if is_bad(bank) else "",
             provenance=_measurement_provenance(measurement, bank),
         ),
     )
