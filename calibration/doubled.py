@@ -34,6 +34,8 @@ ENOUGH = 12
 """Other depths that the aperture is taken from for the closer look."""
 EXPLAINED = 0.5
 """Part of the residual power, against one picture of any size, that the copy must take away."""
+WITHIN = 0.7
+"""A copy nearer than this many radii may be an aberration of the lens, if neighbouring depths show it too."""
 HINT = 0.25
 """The same with the aperture as fitted to all frames, the doubled one among them: then it is worth a closer look."""
 _MOST_FIRST, _MOST_SECOND = 200, 4000
@@ -96,8 +98,9 @@ def find_doubled(
         radius = lens_radius(lens_alone, nominal_mm[i])
         copies = [second_copy(spot, alone, radius) for spot in repeats[i]]
         clearest = int(np.argmax([c.share if _is_copy(c, EXPLAINED) else 0.0 for c in copies]))
-        if _is_copy(copies[clearest], EXPLAINED):
-            found.append(Doubled(i, clearest, copies[clearest]))
+        copy = copies[clearest]
+        if _is_copy(copy, EXPLAINED) and not _runs_on(i, copy, spots, nominal_mm, alone, lens_alone):
+            found.append(Doubled(i, clearest, copy))
     return max(found, key=lambda one: one.copy.share, default=None)
 
 
@@ -114,6 +117,24 @@ def _worth_a_look(spots: Sequence[Spot], nominal_mm: FloatArray, fit: TemplateFi
     chosen = [i for i in out if _is_copy(second_copy(spots[i], fit, lens_radius(lens, nominal_mm[i])), HINT)]
     largest = int(np.argmax([abs(s.radius_px) for s in fit.spots]))
     return chosen if largest in chosen else [*chosen, largest]
+
+
+def _runs_on(
+    i: int, copy: Copy, spots: Sequence[Spot], nominal_mm: FloatArray, fit: TemplateFit, lens: LensFit
+) -> bool:
+    """Whether the copy is the lens's own: within the blurred aperture, and in the neighbouring depths as well.
+
+    An aberration changes the inside of the blur smoothly with depth; a reflection or a double exposure doesn't.
+    """
+    if copy.distance_px > WITHIN * abs(lens_radius(lens, nominal_mm[i])):
+        return False
+    order = np.argsort(nominal_mm).tolist()
+    place = order.index(i)
+    return any(
+        _is_copy(second_copy(spots[k], fit, lens_radius(lens, nominal_mm[k])), EXPLAINED)
+        for k in order[max(0, place - 1) : place + 2]
+        if k != i
+    )
 
 
 def lens_radius(lens: LensFit, nominal_mm: float) -> float:

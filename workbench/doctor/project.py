@@ -72,12 +72,15 @@ def _session(project: Project) -> list[Finding]:
 
 def _bank(project: Project) -> tuple[Finding, Bank | None]:
     try:
-        entry = read_registry(project.banks).active
+        registry = read_registry(project.banks)
     except BankError as error:
         return PROJECT.failure("bank", error), None
+    entry = registry.active
     if entry is None:
-        none = PROJECT.note("bank", "none is active: nothing can be measured yet", "`workbench calibrate` makes one")
-        return none, None
+        mend = "`workbench calibrate` makes one"
+        if registry.entries:
+            mend = f"`workbench bank list`, then `workbench bank activate`, or {mend}"
+        return PROJECT.note("bank", "none is active: nothing can be measured yet", mend), None
     name = f"v{entry.version} {entry.id}"
     try:
         bank, _ = open_bank(project, entry.id)

@@ -88,3 +88,10 @@ def test_an_exchange_is_found_among_few_depths_and_many_and_nothing_where_there_
     first, second = sorted(rng.choice(count, 2, replace=False).tolist())
     radius[[first, second]] = radius[[second, first]]
     assert swapped_pair(nominal, radius, error, apply_zero=True) == (first, second)
+
+
+def test_a_copy_within_the_blur_of_neighbouring_depths_may_be_the_lenss_own_and_is_left_to_the_quality() -> None:
+    ghost = {z: _doubled(z, 0.3, (3, 2)) for z in (800.0, 1000.0)}
+    built = build_bank([PointFrame(z, (ghost.get(z) or point_image(z),)) for z in DEPTHS_MM])
+    assert built.quality.verdict != "good"
+    assert any("model_misfit" in reason for reason in built.quality.reasons)
