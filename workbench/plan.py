@@ -100,7 +100,7 @@ def depth_grid_mm(from_mm: float, to_mm: float, step_mm: float) -> tuple[float, 
         )
     count = math.floor((to_mm - from_mm) / step_mm + 1e-9) + 1
     if count < 3:
-        raise InputError(f"--step: from --from to --to makes only {count} of at least 3 depths; give a smaller one")
+        raise InputError(f"{count} depths are too few for a lens fit: at least 3; use a smaller --step")
     if count > 2000:
         raise InputError(f"{count} depths are more than a session can take: use a larger --step")
     return tuple(round(from_mm + index * step_mm, 6) for index in range(count))
