@@ -26,7 +26,8 @@ __all__ = ["Bank", "LensFit", "check_fits", "dump", "load_bank", "save_bank", "u
 
 FORMAT = 1
 _CORE = ("depths_mm", "psf", "psf_se", "field_yx", "radius_px", "radius_se_px", "residual_px")
-_PITCH_TOLERANCE = 0.01
+PITCH_TOLERANCE = 0.01
+"""Pitches that differ by less than this part are the same."""
 _OPTICS_TOLERANCE = 0.05
 
 
@@ -220,7 +221,7 @@ def check_fits(bank: Bank, image: LinearImage) -> None:
         )
 
     pitches = image.pixel_pitch_mm, bank.pixel_pitch_mm
-    if pitches[0] and pitches[1] and abs(pitches[0] / pitches[1] - 1.0) > _PITCH_TOLERANCE:
+    if pitches[0] and pitches[1] and abs(pitches[0] / pitches[1] - 1.0) > PITCH_TOLERANCE:
         if image.recipe != bank.recipe and "linear" not in (image.recipe, bank.recipe):
             raise _recipe_error(path, image.recipe, bank.recipe)
         raise refuse("pixel pitch", f"{pitches[0] * 1000:.2f} um", f"{pitches[1] * 1000:.2f} um")

@@ -15,8 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.bank import Bank
-from calibration.errors import DepthListError, FrameError, PointError
+from calibration.doubled import find_doubled
+from calibration.errors import DepthListError, FitError, PointError
 from calibration.exif import known_camera
+from calibration.frame_checks import Distinct, check_dark, check_same_camera, longest_exposure
 from calibration.image import FrameInfo, LinearImage, Recipe
 from calibration.lens_fit import LensFit, aperture_radius_mm, check_aperture, check_depths, fit_lens
 from calibration.optics import image_distance_mm
@@ -34,6 +36,7 @@ from calibration.psf import (
 )
 from calibration.quality import Quality, judge
 from calibration.raw import average_darks, develop, subtract_dark
+from calibration.swapped import swapped_pair
 from calibration.template import Spot, TemplateFit, fit_spots
 
 FloatArray = NDArray[np.float64]
@@ -129,17 +132,25 @@ def build_bank(
     options = options or BuildOptions()
     frames = sorted(frames, key=lambda frame: frame.depth_nominal_mm)
     check_depths([frame.depth_nominal_mm for frame in frames])
-    dark_by_shape = _average_darks(darks, options)
+    distinct = Distinct()
+    longest = longest_exposure(source for frame in frames for source in frame.sources)
+
+    def averaged(sources: Sequence[Source]) -> dict[tuple[int, ...], LinearImage]:
+        return _average_darks(sources, longest, distinct, options)
+
+    dark_by_shape = averaged(darks)
     measured: list[tuple[PointFrame, list[list[PointImage]]]] = []
     rejected: list[Rejected] = []
     infos: list[tuple[float, FrameInfo]] = []
     pitch: float | None = None
     for frame in frames:
         repeats: list[list[PointImage]] = []
-        dark_here = _average_darks(frame.offs, options) if frame.offs else dark_by_shape
+        dark_here = averaged(frame.offs) if frame.offs else dark_by_shape
         for image in _developed(frame.sources, dark_here, options):
+            distinct.check(image.info)
             infos.append((frame.depth_nominal_mm, image.info))
-            pitch = _same_camera(infos, pitch, image)
+            check_same_camera(infos[0][1], image.info)
+            pitch = pitch or image.pixel_pitch_mm
             try:
                 repeats.append(find_points(image, expected=options.expected_points, options=options.point))
             except PointError as error:
@@ -173,32 +184,15 @@ def _developed(
         yield image
 
 
-def _average_darks(darks: Sequence[Source], options: BuildOptions) -> dict[tuple[int, ...], LinearImage]:
+def _average_darks(
+    darks: Sequence[Source], longest: FrameInfo | None, distinct: Distinct, options: BuildOptions
+) -> dict[tuple[int, ...], LinearImage]:
     groups: dict[tuple[int, ...], list[LinearImage]] = {}
     for image in _developed(darks, {}, options):
+        distinct.check(image.info)
+        check_dark(image, longest, options.point)
         groups.setdefault(image.planes.shape, []).append(image)
     return {shape: average_darks(group) for shape, group in groups.items()}
-
-
-def _same_camera(infos: list[tuple[float, FrameInfo]], pitch: float | None, image: LinearImage) -> float | None:
-    """Refuse a frame of another camera than the first; returns the pitch."""
-    first, this = infos[0][1], image.info
-    if (first.model, first.cfa) != (this.model, this.cfa):
-        raise FrameError(
-            f"{this.path}: taken with {this.model or 'an unnamed camera'} {this.cfa}, but {first.path} with "
-            f"{first.model or 'an unnamed camera'} {first.cfa}; keep frames of one camera"
-        )
-    for what, unit, theirs, ours, tolerance in (
-        ("pixel pitch", " mm", this.pixel_pitch_mm, first.pixel_pitch_mm, 0.01),
-        ("focal length", " mm", this.focal_length_mm, first.focal_length_mm, 0.01),
-        ("f-number", "", this.f_number, first.f_number, 0.05),
-    ):
-        if theirs and ours and abs(theirs / ours - 1.0) > tolerance:
-            raise FrameError(
-                f"{this.path}: {what} is {theirs:g}{unit}, but {ours:g}{unit} in {first.path}; "
-                "keep frames of one camera and one setting of the lens"
-            )
-    return pitch or image.pixel_pitch_mm
 
 
 def _pool_noise_gain(
@@ -262,14 +256,23 @@ def _measure_field(
     stacks = tuple(stack_repeats(repeats) for repeats in track)
 
     def fitted(dot_radius: FloatArray, start: TemplateFit | None) -> tuple[TemplateFit, LensFit]:
-        spots = [
-            Spot(s.point.values, np.sqrt(s.point.variance), disc_variance(r))
-            for s, r in zip(stacks, dot_radius, strict=True)
-        ]
+        spots = [_spot(s.point, r) for s, r in zip(stacks, dot_radius, strict=True)]
         fit = fit_spots(spots, 1.0 / nominal, start=start)
         radius = np.array([s.radius_px for s in fit.spots])
         errors = np.array([s.radius_se_px for s in fit.spots])
-        return fit, fit_lens(nominal, radius, errors, apply_zero=options.apply_zero)
+        pair = None
+        try:
+            lens = fit_lens(nominal, radius, errors, apply_zero=options.apply_zero)
+            if any(lens.suspect):
+                pair = swapped_pair(nominal, radius, errors, apply_zero=options.apply_zero)
+        except FitError:
+            for side in (1.0, -1.0):  # exchanged ends of the range turn the guess of the sides around
+                pair = pair or swapped_pair(nominal, side * radius, errors, apply_zero=options.apply_zero)
+            if pair is None:
+                raise
+        if pair is not None:
+            raise DepthListError(_swapped_message(track, nominal, pair))
+        return fit, lens
 
     dot_radius = np.zeros(nominal.size)
     fit, lens = fitted(dot_radius, None)
@@ -283,6 +286,7 @@ def _measure_field(
         )
         if dot_radius.max() >= 0.1:
             fit, lens = fitted(dot_radius, fit)
+    _refuse_doubled(track, stacks, nominal, dot_radius, fit, lens)
     chief = np.array(
         [
             (s.point.corner_yx[0] + f.centre_y, s.point.corner_yx[1] + f.centre_x)
@@ -290,6 +294,47 @@ def _measure_field(
         ]
     )
     return _Field(stacks, fit, lens, chief, dot_radius)
+
+
+def _swapped_message(track: list[list[PointImage]], nominal: FloatArray, pair: tuple[int, int]) -> str:
+    first, second = (f"{Path(track[k][0].info.path).name} ({nominal[k] / 10:g} cm)" for k in pair)
+    return (
+        f"{first} and {second} have the blur of each other's depth: they seem to be exchanged; give each its own depth"
+    )
+
+
+def _spot(point: PointImage, dot_radius_px: float) -> Spot:
+    return Spot(point.values, np.sqrt(point.variance), disc_variance(dot_radius_px))
+
+
+def _refuse_doubled(
+    track: list[list[PointImage]],
+    stacks: Sequence[Stacked],
+    nominal: FloatArray,
+    dot_radius: FloatArray,
+    fit: TemplateFit,
+    lens: LensFit,
+) -> None:
+    """Refuse a frame that shows its point twice, one copy over the other."""
+
+    def lit(point: PointImage, radius: float) -> Spot:
+        spot = _spot(point, radius)
+        return replace(spot, values=np.where(point.support, spot.values, 0.0))
+
+    found = find_doubled(
+        [lit(s.point, r) for s, r in zip(stacks, dot_radius, strict=True)],
+        [[lit(p, r) for p in repeats] for repeats, r in zip(track, dot_radius, strict=True)],
+        nominal,
+        fit,
+        lens,
+    )
+    if found is not None:
+        path = track[found.depth][found.repeat].info.path
+        raise PointError(
+            "doubled",
+            f"{path}: shows its point twice, {found.copy.distance_px:.0f} px apart (the fainter with "
+            f"{100 * found.copy.share:.0f} % of the light); cover reflections, and take it again or leave it out",
+        )
 
 
 def _assemble(

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import hashlib
+import io
 import json
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,9 +15,9 @@ import scipy.io
 import tifffile
 from numpy.typing import NDArray
 
-from calibration.bank import Bank, dump, undump
+from calibration.bank import PITCH_TOLERANCE, Bank, dump, undump
 from calibration.build import software_version
-from calibration.errors import BankError, DepthListError, FitError
+from calibration.errors import BankError, DepthListError, FitError, MismatchError
 from calibration.lens_fit import LensFit, check_depths, fit_lens
 from calibration.template import Spot, fit_spots
 
@@ -30,8 +32,9 @@ def import_bank(
     path: str | Path,
     depths_mm: Sequence[float] | None = None,
     *,
-    recipe: str = "linear",
+    recipe: str | None = None,
     pixel_pitch_mm: float | None = None,
+    default_recipe: str = "linear",
     axis: int | None = None,
 ) -> Bank:
     """Make a bank from a stack of PSFs.
@@ -47,6 +50,8 @@ def import_bank(
         ``depths_cm``, or slice labels in cm).
     recipe, pixel_pitch_mm
         How the PSFs' frames were developed, where the file doesn't say so.
+    default_recipe
+        Where neither says it.
     axis
         Which axis counts planes; default: the one as long as the list of depths (the first in doubt, the last for
         ``.mat``, where that is the habit).
@@ -57,6 +62,8 @@ def import_bank(
         The file can't be read, or holds no stack of PSFs.
     DepthListError
         No list of depths, one of another length, or one that can't be right.
+    MismatchError
+        The file states another recipe or pitch than the one given.
     """
     path = Path(path)
     try:
@@ -67,9 +74,10 @@ def import_bank(
         raise BankError(f"{path}: no such file") from None
     except Exception as error:  # readers raise whatever broken bytes lead them to
         raise BankError(f"{path}: can't be read ({' '.join(str(error).split())[:120]})") from error
+    recipe, pixel_pitch_mm = _agreed(path, stored, recipe, pixel_pitch_mm)
     whole = stored.get("bank")
-    if isinstance(whole, Bank) and depths_mm is None and axis is None:
-        return whole
+    if isinstance(whole, Bank) and axis is None and _same_depths(whole, depths_mm):
+        return whole if whole.pixel_pitch_mm else replace(whole, pixel_pitch_mm=pixel_pitch_mm)
     depths = list(depths_mm) if depths_mm is not None else stored.get("depths_mm")
     if depths is None:
         raise DepthListError(f"{path}: holds no depths; give one per plane")
@@ -97,8 +105,8 @@ def import_bank(
         psf_se=se,
         field_yx=np.asarray(stored.get("field_yx", np.zeros((1, 2))), np.float64),
         lens=lens,
-        recipe=str(stored.get("recipe", recipe)),
-        pixel_pitch_mm=stored.get("pixel_pitch_mm", pixel_pitch_mm),
+        recipe=recipe or default_recipe,
+        pixel_pitch_mm=pixel_pitch_mm,
         manifest={
             "kind": "imported",
             "software": software_version(),
@@ -111,6 +119,26 @@ def import_bank(
             "quality": {"verdict": "unknown", "reasons": [_unknown(stored_se is not None)]},
         },
     )
+
+
+def _agreed(
+    path: Path, stored: dict[str, Any], recipe: str | None, pixel_pitch_mm: float | None
+) -> tuple[str | None, float | None]:
+    """Recipe and pitch from file and operator, who may fill in but not contradict."""
+    says, pitch = stored.get("recipe"), stored.get("pixel_pitch_mm")
+    if recipe and says and recipe != says:
+        raise MismatchError(f"{path}: its PSFs were developed as {says}, not {recipe}; leave the recipe out")
+    if pixel_pitch_mm and pitch and abs(pixel_pitch_mm / pitch - 1.0) > PITCH_TOLERANCE:
+        raise MismatchError(
+            f"{path}: its pixel pitch is {1000 * pitch:.2f} um, not {1000 * pixel_pitch_mm:.2f} um; leave the pitch out"
+        )
+    return says or recipe, pitch or pixel_pitch_mm
+
+
+def _same_depths(bank: Bank, depths_mm: Sequence[float] | None) -> bool:
+    if depths_mm is None:
+        return True
+    return len(depths_mm) == bank.depths_mm.size and bool(np.allclose(depths_mm, bank.depths_mm, rtol=0, atol=0.01))
 
 
 def export_npz(bank: Bank, path: str | Path) -> Path:
@@ -135,7 +163,9 @@ def export_tiff(bank: Bank, path: str | Path) -> Path:
         "depths_mm": bank.depths_mm.tolist(),
     }
     metadata["Info"] = json.dumps(facts)
-    tifffile.imwrite(path, bank.central.astype(np.float32), imagej=True, metadata=metadata)
+    written = io.BytesIO()  # into a file that can't grow, tifffile's numpy writes with an error that says nothing
+    tifffile.imwrite(written, bank.central.astype(np.float32), imagej=True, metadata=metadata)
+    path.write_bytes(written.getvalue())
     return path
 
 
@@ -227,7 +257,7 @@ def _from_manifest(text: str, content: dict[str, Any]) -> dict[str, Any]:
     """What an exported NPZ says of itself: the whole bank if it is as it was written, else only the plain facts."""
     bank = undump(text, content)
     if bank is not None:
-        return {"bank": bank}
+        return {"bank": bank, **_facts(bank.recipe, bank.pixel_pitch_mm, bank.manifest.get("camera", {}), bank.id)}
     try:
         told = json.loads(text)
         return _facts(told["recipe"], told["pixel_pitch_mm"], told.get("camera", {}), told["id"])

@@ -2,13 +2,12 @@
 
 Either file names say it (``psf_060cm.dng``, ``psf_0600mm_2.npy``, ``dark_1.dng``), or a ``frames.csv`` with the columns
 ``file,depth_cm,kind``, kind being ``psf`` or ``dark``. Repeats of a depth differ in what follows its unit
-(``psf_060cm.dng``, ``psf_060cm_2.dng``); a frame that is there twice is refused: it would pass for two.
+(``psf_060cm.dng``, ``psf_060cm_2.dng``).
 """
 
 from __future__ import annotations
 
 import csv
-import hashlib
 import re
 from dataclasses import dataclass
 from pathlib import Path
@@ -44,7 +43,7 @@ def find_frames(directory: str | Path) -> FrameList:
     ------
     FrameError
         No such directory, nothing in it that is named like a frame, a file named in the list is missing, a bad line,
-        a frame that is there twice, two files named for the same repeat of a depth.
+        two files named for the same repeat of a depth.
     DepthListError
         Fewer than 3 depths, or numbers that can't be right.
     """
@@ -62,7 +61,6 @@ def find_frames(directory: str | Path) -> FrameList:
         check_depths(sorted(points))
     except DepthListError as error:
         raise DepthListError(f"{table if table.is_file() else directory}: {error}") from None
-    _refuse_copies([*darks, *(path for paths in points.values() for path in paths)])
     return FrameList(
         points=tuple((depth, tuple(sorted(points[depth]))) for depth in sorted(points)), darks=tuple(sorted(darks))
     )
@@ -70,20 +68,6 @@ def find_frames(directory: str | Path) -> FrameList:
 
 def _files(directory: Path) -> list[Path]:
     return sorted(p for p in directory.iterdir() if p.is_file() and p.suffix.lower() not in _IGNORED)
-
-
-def _refuse_copies(paths: list[Path]) -> None:
-    """Refuse files of the same bytes: two exposures never agree in their noise."""
-    of_size: dict[int, list[Path]] = {}
-    for path in sorted(paths):
-        if (size := path.stat().st_size) > 0:  # of an empty one the reader speaks
-            of_size.setdefault(size, []).append(path)
-    seen: dict[str, Path] = {}
-    for path in (path for group in of_size.values() if len(group) > 1 for path in group):
-        with path.open("rb") as stream:
-            first = seen.setdefault(hashlib.file_digest(stream, "sha256").hexdigest(), path)
-        if first is not path:
-            raise FrameError(f"{path}: is a copy of {first.name}, byte for byte; remove one of them")
 
 
 def _from_names(directory: Path) -> tuple[dict[float, list[Path]], list[Path]]:

@@ -242,5 +242,5 @@ def _append(path: Path, *records: Mapping[str, Any]) -> None:
             else:
                 os.truncate(path, size)
         raise BankError(
-            f"{path}: can't be written ({error.strerror or error}); free some space and try again"
+            f"{path}: can't be written ({error.strerror or error}); free some space or raise the limit, and try again"
         ) from error

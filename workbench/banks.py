@@ -22,8 +22,27 @@ class StoredBank:
     report: Path
 
 
+def quality_verdict(bank: Bank) -> str:
+    """good, suspect or bad; unknown for imported PSFs, which nobody has judged."""
+    return str(bank.manifest.get("quality", {}).get("verdict", "unknown"))
+
+
+def is_bad(bank: Bank) -> bool:
+    """Whether a bank's quality figures say that nobody should measure with it unseen."""
+    return quality_verdict(bank) == "bad"
+
+
+def quality_reasons(bank: Bank, most: int = 3) -> str:
+    """Why a bank's quality is what it is, in one line: the first reasons, and how many more there are."""
+    reasons = list(bank.manifest.get("quality", {}).get("reasons", ()))
+    more = f"; and {len(reasons) - most} more" if len(reasons) > most else ""
+    return "; ".join(reasons[:most]) + more
+
+
 def store_bank(project: Project, bank: Bank) -> StoredBank:
-    """Write a bank and its report, give it a version and make it the active one; an identical bank keeps its version.
+    """Write a bank and its report, and give it a version; an identical bank keeps its version.
+
+    It becomes the active one unless its quality is bad: that is for somebody who has looked at it to decide.
 
     Raises
     ------
@@ -39,7 +58,7 @@ def store_bank(project: Project, bank: Bank) -> StoredBank:
             save_bank(bank, project.banks)
             report = directory / "report.html"
             write_bank_report(bank, report, version=f"v{next_version(project.banks, bank.id)}")
-            entry = register(project.banks, bank.id, active=True)
+            entry = register(project.banks, bank.id, active=not is_bad(bank))
         except BaseException:
             if is_new:
                 shutil.rmtree(directory, ignore_errors=True)

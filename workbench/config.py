@@ -11,12 +11,19 @@ import yaml
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 
 from workbench.errors import InputError
-from workbench.units import duration_s, length_mm, speed_mm_s
+from workbench.units import duration_s, length_mm, pixel_pitch_mm, speed_mm_s
 
 
 def _length(value: object) -> float:
     try:
         return length_mm(value)
+    except InputError as error:
+        raise ValueError(str(error)) from None
+
+
+def _pitch(value: object) -> float:
+    try:
+        return pixel_pitch_mm(value)
     except InputError as error:
         raise ValueError(str(error)) from None
 
@@ -47,6 +54,8 @@ def _f_number(value: object) -> object:
 
 Length = Annotated[float, BeforeValidator(_length)]
 """Written with a unit (``60 cm``), held in millimetres."""
+Pitch = Annotated[float, BeforeValidator(_pitch)]
+"""Of a sensor's pixels: written with a unit (``4.3 um``), held in millimetres."""
 Duration = Annotated[float, BeforeValidator(_duration)]
 """Written with or without ``s``, held in seconds."""
 Speed = Annotated[float, BeforeValidator(_speed)]
@@ -86,7 +95,7 @@ class CameraConfig(Section):
     """The camera and how its RAW files are developed; all after ``iso`` is for a real one."""
 
     kind: Literal["simulated", "gphoto2"] = "simulated"
-    pixel_pitch_mm: Length | None = Field(None, alias="pixel_pitch", gt=0)
+    pixel_pitch_mm: Pitch | None = Field(None, alias="pixel_pitch")
     """Photosite pitch; needed where the RAW files don't state it."""
     recipe: Literal["superpixel", "native"] = "superpixel"
     iso: int = Field(100, ge=25, le=409600)
@@ -180,7 +189,7 @@ class PanelConfig(Section):
     """The display on the carriage."""
 
     kind: Literal["simulated", "browser"] = "simulated"
-    pixel_pitch_mm: Length = Field(0.1, alias="pixel_pitch", gt=0)
+    pixel_pitch_mm: Length = Field(0.1, alias="pixel_pitch", gt=0, le=10)
     dot: DotConfig = DotConfig()
     host: str = "127.0.0.1"
     port: int = Field(8650, ge=0, le=65535)

@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 
 from rigs.simulated.scene import SceneTruth
 from workbench.depth.regions import inner
+from workbench.display import png_bytes
+from workbench.files import write_bytes
 from workbench.measurement import Measurement
 
 INNER_SHARE = 0.5
@@ -62,4 +64,4 @@ def object_core(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
 def write_truth(truth: SceneTruth, directory: Path, stem: str) -> None:
     """Keep the scene's truth beside the photograph: depth in mm and object ids, as 16-bit and 8-bit PNG."""
     for name, image in (("depth_mm", np.rint(truth.depth_mm).astype(np.uint16)), ("id", truth.object_id)):
-        cv2.imwrite(str(directory / f"{stem}_{name}.png"), image)
+        write_bytes(directory / f"{stem}_{name}.png", png_bytes(image))

@@ -1,7 +1,10 @@
-"""Linear images made viewable: exposure and the sRGB transfer, in one place."""
+"""Linear images made viewable: exposure, the sRGB transfer and PNG, in one place."""
 
 from __future__ import annotations
 
+from typing import Any
+
+import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -59,3 +62,13 @@ def to_srgb8(linear: NDArray[np.floating], gain: float | None = None) -> NDArray
     factor = exposure_gain(values) if gain is None else gain
     encoded: NDArray[np.uint8] = np.rint(srgb_transfer(values * np.float32(factor)) * 255.0).astype(np.uint8)
     return encoded
+
+
+def png_bytes(pixels: NDArray[Any]) -> bytes:
+    """PNG of uint8 or uint16 pixels, (H, W), (H, W, 1) or R, G, B (H, W, 3)."""
+    if pixels.ndim == 3:
+        pixels = pixels[:, :, ::-1] if pixels.shape[2] == 3 else pixels[:, :, 0]  # OpenCV takes B, G, R
+    good, data = cv2.imencode(".png", np.ascontiguousarray(pixels))
+    if not good:
+        raise ValueError(f"no PNG holds {pixels.dtype} pixels of shape {pixels.shape}")
+    return data.tobytes()

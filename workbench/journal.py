@@ -11,7 +11,6 @@ Records: ``started`` (plan hash, devices), ``homed``, ``moved``, ``metered`` (ex
 
 from __future__ import annotations
 
-import errno
 import hashlib
 import json
 import os
@@ -85,16 +84,18 @@ class Journal:
         line = json.dumps(record, separators=(",", ":"), ensure_ascii=False, allow_nan=False).encode() + b"\n"
         start, count, last = self.path.stat().st_size, len(self.records), self._last
         try:
-            if self._handle.write(line) != len(line):
-                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(self.path))
+            while line:  # where not all of it goes, the next write says why
+                line = line[self._handle.write(line) :]
             os.fsync(self._handle.fileno())
             self.records.append(record)
             self._last = record["hash"]
-        except BaseException:
+        except BaseException as error:
             # A full disk must not leave half a record, nor Ctrl-C one that the next doesn't follow.
             os.truncate(self.path, start)
             del self.records[count:]
             self._last = last
+            if isinstance(error, OSError) and error.filename is None:
+                error.filename = str(self.path)
             raise
 
     def state(self) -> SessionState:

@@ -7,7 +7,6 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
-import cv2
 import imagecodecs
 import numpy as np
 import tifffile
@@ -16,12 +15,12 @@ from numpy.typing import NDArray
 from calibration.bank import Bank, check_fits
 from calibration.image import LinearImage
 from calibration.raw import develop
-from workbench.banks import open_bank
+from workbench.banks import open_bank, quality_verdict
 from workbench.depth.allfocus import all_focus, depth_map
 from workbench.depth.depth_regions import regions_of_one_depth
 from workbench.depth.methods import DEFAULT_METHOD, estimate_depths, needs_second_view, option_values
 from workbench.depth.regions import SrmOptions, from_roi, srm, whole
-from workbench.display import to_srgb8
+from workbench.display import png_bytes, to_srgb8
 from workbench.errors import InputError
 from workbench.files import sha256_json, staged_files, write_json
 from workbench.measurement import Measurement
@@ -175,6 +174,7 @@ def measure(path: Path, bank: Bank, bank_ref: str, options: MeasureOptions) -> M
         estimates=estimates,
         depth_map_mm=depth_map(labels, estimates),
         all_focus=all_focus(image, bank, labels, estimates),
+        bank_quality=quality_verdict(bank),
         seconds=time.perf_counter() - started,
     )
 
@@ -212,13 +212,13 @@ def save(measurement: Measurement, bank: Bank, project: Project, out: Path | Non
     }
     done = replace(measurement, files={role: directory / name for role, name in names.items()})
     with staged_files(directory) as temporary:
-        _write_png(temporary / names["depth_png"], depth_to_png(measurement.depth_map_mm))
+        (temporary / names["depth_png"]).write_bytes(png_bytes(depth_to_png(measurement.depth_map_mm)))
         tifffile.imwrite(
             temporary / names["depth_tiff"], measurement.depth_map_mm, compression="zlib", metadata=None,
             description="depth in mm, NaN = unknown",
         )  # fmt: skip
-        _write_png(temporary / names["all_focus"], to_srgb8(measurement.all_focus))
-        _write_png(temporary / names["labels"], measurement.labels.astype(np.uint16))
+        (temporary / names["all_focus"]).write_bytes(png_bytes(to_srgb8(measurement.all_focus)))
+        (temporary / names["labels"]).write_bytes(png_bytes(measurement.labels.astype(np.uint16)))
         write_measurement_report(done, bank, temporary / names["report"])
         write_json(temporary / "measurement.json", done.as_json(project.relative))
     return done
@@ -228,12 +228,3 @@ def depth_to_png(depth_map_mm: NDArray[np.float32]) -> NDArray[np.uint16]:
     """uint16 (H, W) millimetres, 0 = unknown; depths beyond 65.5 m saturate."""
     filled = np.nan_to_num(depth_map_mm, nan=0.0, posinf=0.0, neginf=0.0)
     return np.clip(np.rint(filled), 0, 65535).astype(np.uint16)
-
-
-def _write_png(path: Path, pixels: NDArray[Any]) -> None:
-    if pixels.ndim == 3:
-        pixels = pixels[:, :, ::-1] if pixels.shape[2] == 3 else pixels[:, :, 0]  # OpenCV writes B, G, R
-    good, data = cv2.imencode(".png", np.ascontiguousarray(pixels))
-    if not good:
-        raise OSError(f"{path}: PNG encoding failed")
-    path.write_bytes(data.tobytes())

@@ -25,6 +25,8 @@ class Measurement:
         The file as the operator named it.
     bank_ref, bank_id
         The bank as asked for (``active``, ``v2``) and its id.
+    bank_quality
+        Verdict on the bank: good, suspect, bad or unknown.
     method, options
         Estimator and everything that was chosen for it, as JSON values.
     labels
@@ -49,6 +51,7 @@ class Measurement:
     estimates: dict[int, DepthEstimate]
     depth_map_mm: NDArray[np.float32]
     all_focus: NDArray[np.float32]
+    bank_quality: str = "unknown"
     seconds: float = 0.0
     files: dict[str, Path] = field(default_factory=dict)
 
@@ -60,6 +63,7 @@ class Measurement:
         return {
             "image": self.image_name,
             "bank": self.bank_id,
+            "bank_quality": self.bank_quality,
             "method": self.method,
             "regions": [
                 {

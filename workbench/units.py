@@ -44,6 +44,27 @@ def length_mm(value: object, *, default_unit: str | None = None) -> float:
     return _parse(value, _LENGTH_MM, "length", "60cm", default_unit)
 
 
+PITCHES_MM = (0.0005, 0.1)
+"""Smallest and largest pitch that a sensor's pixels, single or binned, may have."""
+
+
+def pixel_pitch_mm(value: object) -> float:
+    """Millimetres of a pixel pitch with its unit (``8.6um``); see :func:`length_mm`.
+
+    Raises
+    ------
+    InputError
+        Not a length with a unit, or none that the pixels of a sensor have.
+    """
+    try:
+        pitch = length_mm(value)
+    except InputError:
+        pitch = 0.0
+    if not PITCHES_MM[0] <= pitch <= PITCHES_MM[1]:
+        raise InputError(f"{value!s} is no pitch of a sensor's pixels: give it with its unit, for example 4.3um")
+    return pitch
+
+
 def duration_s(value: object, *, default_unit: str | None = None) -> float:
     """Seconds of a text such as "2 s", "20ms" or "1/125 s"; see :func:`length_mm`."""
     if isinstance(value, str) and "/" in value:

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from command_line import SENSOR, TAGS, call, dng, listing, refused, spots
+import rawpy
+from command_line import SENSOR, TAGS, call, dng, done, listing, refused, spots
 
 VICTIM = "psf_130cm.dng"
 DARK = "dark.dng"
@@ -77,6 +79,29 @@ def test_a_frame_without_one_good_point_is_named_with_the_reason(
     _refused(project, frames, VICTIM, *words)
 
 
+def _copied_over_itself(path: Path, share: float) -> None:
+    """Lay a fainter copy of the point over it, 24 photosites away."""
+    with rawpy.imread(str(path)) as raw:
+        signal = raw.raw_image_visible.astype(float) - TAGS.black
+    both = signal + share * np.roll(signal, (14, -20), (0, 1))
+    dng(path, np.clip(TAGS.black + both / (1 + share), 0, TAGS.white))
+
+
+@pytest.mark.parametrize("share", [1.0, 0.3, 0.15])
+def test_a_frame_whose_second_point_lies_within_the_first_ones_light_is_named(
+    project: Path, frames: Path, share: float
+) -> None:
+    _copied_over_itself(frames / "psf_105cm.dng", share)
+    _refused(project, frames, "psf_105cm.dng", "twice", "12 px apart")
+
+
+def test_two_frames_under_each_others_depth_are_both_named(project: Path, frames: Path) -> None:
+    (frames / "psf_105cm.dng").rename(frames / "psf.tmp")
+    (frames / "psf_205cm.dng").rename(frames / "psf_105cm.dng")
+    (frames / "psf.tmp").rename(frames / "psf_205cm.dng")
+    _refused(project, frames, str(frames), "psf_105cm.dng (105 cm)", "psf_205cm.dng (205 cm)", "exchanged")
+
+
 @pytest.mark.parametrize(
     ("tags", "words"),
     [
@@ -101,6 +126,18 @@ def test_a_frame_with_another_colour_pattern_is_named(project: Path, frames: Pat
 def test_a_dark_frame_of_another_camera_is_named(project: Path, frames: Path) -> None:
     dng(frames / DARK, spots([]), cfa=bytes([2, 1, 1, 0]))
     _refused(project, frames, DARK, "BGGR")
+
+
+def test_a_dark_frame_that_is_none_is_named_with_the_reason(project: Path, frames: Path) -> None:
+    dng(frames / DARK, spots([]), tags=replace(TAGS, exposure_s=30.0))
+    _refused(project, frames, DARK, "exposed 30 s", "point frame")
+    dng(frames / DARK, spots([(0.5, 0.5)], level=1.5, radius=200))
+    _refused(project, frames, DARK, "saturated")
+    shutil.copy(frames / VICTIM, frames / DARK)
+    _refused(project, frames, DARK, "point")
+    (frames / DARK).unlink()
+    shutil.copy(frames / VICTIM, frames / "psf_130cm_2.dng")
+    _refused(project, frames, "psf_130cm_2.dng", "copy of psf_130cm.dng")
 
 
 def _table(frames: Path, *lines: str, header: str = "file,depth_cm,kind") -> None:
@@ -178,6 +215,15 @@ def test_a_name_without_a_depth_is_refused(project: Path, frames: Path) -> None:
 def test_depths_on_the_command_line_do_not_go_with_files(project: Path, frames: Path) -> None:
     refused(call("-C", project, "calibrate", "--frames", frames, "--from", "60cm"), "--frames", "--from")
     refused(call("-C", project, "calibrate", "--apply-zero"), "--apply-zero", "--frames")
+
+
+def test_three_depths_are_a_bank_that_says_why_it_has_no_zero(project: Path, frames: Path) -> None:
+    for name in (A, B):
+        (frames / name).unlink()
+    shown = done("-C", project, "calibrate", "--frames", frames).out
+    (zero,) = (line for line in shown.splitlines() if line.startswith("stage zero"))
+    assert "3 depths can't tell it, it takes 5" in zero
+    assert "nan" not in shown
 
 
 def test_the_zero_is_not_applied_where_it_cannot_be_found(project: Path, frames: Path) -> None:

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 import scipy.io
 import tifffile
-from command_line import call, done, listing, refused
+from command_line import Outcome, call, done, listing, refused
 
 from calibration.bank import Bank, load_bank
+from calibration.exchange import export_npz
 
 
 def _bank_directory(project: Path) -> Path:
@@ -32,6 +34,55 @@ def test_an_exported_bank_is_the_same_bank_in_another_project(project: Path, tmp
     assert made == done("-C", project, "bank", "show", "--json").only
     done("-C", project, "bank", "import", exported)
     assert done("-C", project, "bank", "list", "--json").only["version"] == 1
+
+
+@pytest.mark.parametrize("suffix", [".npz", ".tif"])
+def test_options_that_contradict_the_file_are_refused_and_those_that_agree_are_taken(
+    project: Path, tmp_path: Path, suffix: str
+) -> None:
+    original = _central(project)
+    exported = tmp_path / f"bank{suffix}"
+    done("-C", project, "bank", "export", "active", exported)
+    before = listing(project)
+    refused(
+        call("-C", project, "bank", "import", exported, "--recipe", "native"), exported.name, "superpixel", "native"
+    )
+    refused(call("-C", project, "bank", "import", exported, "--pixel-pitch", "4.3um"), exported.name, "8.60 um", "4.30")
+    assert listing(project) == before
+    depths = ",".join(f"{z}mm" for z in original.depths_mm)
+    agreeing = ("--recipe", "superpixel", "--pixel-pitch", "8.6um", "--depths", depths)
+    made = done("-C", project, "bank", "import", exported, *agreeing, "--json").only
+    if suffix == ".npz":
+        assert made["id"] == original.id
+    assert (made["recipe"], made["pixel_pitch_mm"]) == ("superpixel", pytest.approx(0.0086))
+    other = ",".join(f"{z + 5}mm" for z in original.depths_mm)
+    made = done("-C", project, "bank", "import", exported, "--depths", other, "--json").only
+    assert made["depths_mm"] == pytest.approx([z + 5 for z in original.depths_mm], abs=0.001)
+    assert (made["recipe"], made["pixel_pitch_mm"]) == ("superpixel", pytest.approx(0.0086))
+    assert made["camera"] == original.manifest["camera"]
+
+
+def test_a_pitch_fills_in_what_an_exported_bank_does_not_know(project: Path, tmp_path: Path) -> None:
+    exported = tmp_path / "bank.npz"
+    export_npz(replace(_central(project), pixel_pitch_mm=None), exported)
+    made = done("-C", project, "bank", "import", exported, "--pixel-pitch", "8.6um", "--json").only
+    assert made["pixel_pitch_mm"] == pytest.approx(0.0086)
+    assert made["quality"]["verdict"] in ("good", "suspect")
+
+
+@pytest.mark.parametrize("pitch", ["8.6", "8.6mm", "0um", "-4um", "wide"])
+def test_a_pitch_that_no_sensor_has_is_refused(project: Path, tmp_path: Path, pitch: str) -> None:
+    np.save(tmp_path / "stack.npy", _central(project).central)
+    told = ("--depths", "80,100,120", "--pixel-pitch", pitch)
+    refused(call("-C", project, "bank", "import", tmp_path / "stack.npy", *told), "--pixel-pitch", pitch, "4.3um")
+
+
+def test_long_lines_are_not_cut_where_no_terminal_is(project: Path) -> None:
+    note = "chart at 100 cm read 100.1 cm; " * 20
+    done("-C", project, "bank", "certify", "v1", "--note", note)
+    shown = done("-C", project, "bank", "show", "v1").out.splitlines()
+    assert any(line.startswith("state") and note.strip() in line for line in shown)
+    assert all(line == line.rstrip() for line in shown)
 
 
 def test_an_exported_stack_comes_back_with_the_same_psfs(project: Path, tmp_path: Path) -> None:
@@ -100,6 +151,46 @@ def test_roll_back_certify_and_revoke(project: Path, tmp_path: Path) -> None:
 
     done("-C", project, "bank", "revoke", "active", "--reason", "lens was moved", "--yes")
     refused(call("-C", project, "bank", "show"), "no bank is active")
+
+
+@pytest.fixture
+def bad_bank(project: Path, frames: Path) -> Outcome:
+    """What is said when a bank is made of frames of which one was taken at another depth than its name says."""
+    (frames / "psf_205cm.dng").rename(frames / "psf_190cm.dng")
+    return call("-C", project, "calibrate", "--frames", frames, "--json")
+
+
+def test_a_bad_bank_is_kept_but_not_activated_and_the_operator_is_told(project: Path, bad_bank: Outcome) -> None:
+    good = _id(project, "active")
+    assert bad_bank.code == 3
+    assert (bad_bank.only["version"], bad_bank.only["state"]) == (2, "registered")
+    assert bad_bank.only["quality"]["verdict"] == "bad"
+    said = bad_bank.err.splitlines()[-1]
+    for words in ("v2", "not activated", "quality is bad", "190 cm", "workbench bank activate v2 --force"):
+        assert words in said
+    assert _id(project, "active") == good
+    assert call("-C", project, "bank", "verify", "v2").code == 3
+    assert call("-C", project, "bank", "certify", "v2", "--note", "x").code == 3
+
+
+def test_a_bad_bank_is_activated_by_force_only_and_every_measurement_says_so(
+    project: Path, bad_bank: Outcome, photograph: Path
+) -> None:
+    refusal = call("-C", project, "bank", "activate", "v2")
+    assert (refusal.code, refusal.out, len(refusal.err.splitlines())) == (3, "", 1)
+    assert "--force" in refusal.err
+    assert done("-C", project, "bank", "activate", "v2", "--force", "--json").only["state"] == "active"
+    quick = ("--roi", "0,0,64,64", "--method", "sharpness", "--set", "iterations=2", "--json")
+    by_bad = done("-C", project, "measure", photograph, *quick)
+    assert by_bad.only["bank_quality"] == "bad"
+    assert "quality of bank" in by_bad.err
+    assert "190 cm" in by_bad.err
+    assert "The quality of the bank is bad" in (project / by_bad.only["files"]["report"]).read_text(encoding="utf-8")
+    by_good = done("-C", project, "measure", photograph, "--bank", "v1", *quick)
+    assert by_good.only["bank_quality"] in ("good", "suspect")
+    assert "quality" not in by_good.err
+    again = done("-C", project, "bank", "activate", "v1", "--json").only
+    assert again["state"] == "active"
 
 
 def _id(project: Path, ref: str) -> str:

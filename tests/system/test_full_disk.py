@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import errno
 import os
+import resource
 import shutil
 import subprocess
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from command_line import call, done, listing, refused
+from command_line import Outcome, arguments, call, done, listing, refused
 
 from calibration.build import PointFrame
 from workbench import calibrate
@@ -67,6 +68,30 @@ def test_wherever_the_disk_fills_up_nothing_is_left_behind(
         raise AssertionError("the command never ended well")
     assert good > 0
     assert listing(tmp_path) != before
+
+
+@pytest.mark.parametrize(
+    ("limit", "command"),
+    [
+        (0, ("init", "{tmp}/fresh")),
+        (0, ("-C", "{project}", "bank", "certify", "v1", "--note", "x")),
+        (8192, ("-C", "{project}", "bank", "export", "v1", "{tmp}/out/bank.npz")),
+        (8192, ("-C", "{project}", "bank", "export", "v1", "{tmp}/out/bank.tif")),
+        (8192, ("-C", "{project}", "measure", "{photograph}", *QUICK)),
+    ],
+    ids=lambda value: value if isinstance(value, int) else " ".join(value[:4:3] + value[2:3]),
+)
+def test_a_limit_on_the_size_of_files_is_told_like_a_full_disk(
+    project: Path, photograph: Path, tmp_path: Path, limit: int, command: tuple[str, ...]
+) -> None:
+    argv = [part.format(project=project, photograph=photograph, tmp=tmp_path) for part in command]
+    before = listing(tmp_path)
+    finished = subprocess.run(
+        arguments(*argv), capture_output=True, text=True, timeout=200, check=False,
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit)),
+    )  # fmt: skip
+    refused(Outcome(finished.returncode, finished.stdout, finished.stderr), "file too large")
+    assert listing(tmp_path) == before
 
 
 def test_a_bank_made_from_frames_is_stored_whole_or_not_at_all(

@@ -24,7 +24,7 @@ FIELDS = {
 
 def test_a_measurement_says_where_its_files_lie_and_they_hold_what_is_promised(project: Path, photograph: Path) -> None:
     found = done("--json", "-C", project, "measure", photograph, "--roi", "30,40,120,90", *QUICK).only
-    assert set(found) == {"image", "bank", "method", "regions", "files", "options"}
+    assert set(found) == {"image", "bank", "bank_quality", "method", "regions", "files", "options"}
     (region,) = found["regions"]
     assert set(region) == FIELDS
     assert 0 < region["pixels"] <= 120 * 90  # only the inner part counts
@@ -48,6 +48,22 @@ def test_a_measurement_says_where_its_files_lie_and_they_hold_what_is_promised(p
     assert (picture.dtype, picture.shape) == (np.uint8, (height, width, 3))
     kept = json.loads((files["report"].parent / "measurement.json").read_text())
     assert kept == found
+
+
+def test_no_more_pixels_are_used_than_a_region_has_and_outside_of_it_the_photograph_stays(
+    project: Path, photograph: Path
+) -> None:
+    found = done("--json", "-C", project, "measure", photograph, "--roi", "60,40,96,128", "--set", "window_px=64").only
+    (region,) = found["regions"]
+    assert 0 < region["pixels"] <= 96 * 128
+    picture = cv2.imread(str(project / found["files"]["all_focus"]), cv2.IMREAD_UNCHANGED)[:, :, ::-1]
+    photographed = develop(photograph).planes
+    outside = np.ones(photographed.shape[:2], bool)
+    outside[36:172, 56:160] = False  # the blend reaches a few pixels across the border
+    linear = np.where(picture <= 10, picture / 255 / 12.92, ((picture / 255 + 0.055) / 1.055) ** 2.4)
+    unclipped = outside[:, :, np.newaxis] & (picture < 250) & (picture > 20)
+    gain = np.median(linear[unclipped] / photographed[unclipped])
+    np.testing.assert_allclose(linear[unclipped], gain * photographed[unclipped], rtol=0.05)
 
 
 def test_the_same_measurement_lands_in_the_same_place_and_another_beside_it(project: Path, photograph: Path) -> None:

@@ -167,3 +167,12 @@ def test_a_demo_in_an_empty_directory_and_again_in_the_same(tmp_path: Path, monk
             assert (tmp_path / line.split(":", 1)[1].strip()).is_file()
     assert sorted(path.name for path in (root / "sessions").iterdir()) == ["s0001", "s0002"]
     assert len(done("-C", root, "bank", "list", "--json").objects) == 1
+
+
+def test_without_a_command_the_help_is_shown_line_by_line() -> None:
+    for argv in ((), ("bank",)):
+        outcome = call(*argv)
+        assert (outcome.code, outcome.out) == (2, "")
+        lines = outcome.err.splitlines()
+        assert lines[0].startswith("Usage: ")
+        assert any(line.strip().startswith(("calibrate", "activate")) for line in lines)

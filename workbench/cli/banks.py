@@ -14,18 +14,16 @@ from calibration.bank import Bank, load_bank
 from calibration.errors import BankError
 from calibration.exchange import diff as diff_banks
 from calibration.exchange import export_npz, export_tiff, import_bank
+from calibration.lens_fit import MIN_DEPTHS_FOR_ZERO
 from calibration.registry import Entry, read_registry
 from calibration.registry import activate as activate_bank
 from calibration.registry import certify as certify_bank
 from calibration.registry import revoke as revoke_bank
-from workbench.banks import open_bank, resolve, store_bank
-from workbench.cli.common import LENGTH, Context, command_options
+from workbench.banks import is_bad, open_bank, quality_reasons, quality_verdict, resolve, store_bank
+from workbench.cli.common import PITCH, Context, command_options
 from workbench.errors import CheckFailedError, InputError
 from workbench.files import replacing
 from workbench.units import cm, length_mm
-
-PITCHES_MM = (0.0005, 0.1)
-"""Smallest and largest pitch that pixels may have."""
 
 
 def bank_summary(bank: Bank, entry: Entry) -> dict[str, Any]:
@@ -65,7 +63,10 @@ def bank_rows(bank: Bank, entry: Entry) -> list[tuple[str, str]]:
     quality = bank.manifest.get("quality", {})
     pitch = f"{bank.pixel_pitch_mm * 1000:.2f} um" if bank.pixel_pitch_mm else "unknown pitch"
     camera = bank.manifest.get("camera", {})
-    applied = "added to the depths" if lens.zero_applied else "reported, not added to the depths"
+    zero = f"not known: {len(bank.depths_mm)} depths can't tell it, it takes {MIN_DEPTHS_FOR_ZERO}"
+    if math.isfinite(lens.zero_mm):
+        applied = "added to the depths" if lens.zero_applied else "reported, not added to the depths"
+        zero = f"{lens.zero_mm:.2f} +- {lens.zero_se_mm:.2f} mm, {applied}"
     rows = [
         ("state", f"{entry.state}{f' ({entry.certificate})' if entry.certificate else ''}"),
         ("depths", f"{len(bank.depths_mm)}, {cm(bank.depths_mm[0])} to {cm(bank.depths_mm[-1])}"),
@@ -73,7 +74,7 @@ def bank_rows(bank: Bank, entry: Entry) -> list[tuple[str, str]]:
         ("camera", f"{camera.get('make', '')} {camera.get('model', '')}".strip() or "unknown"),
         ("focus distance", f"{cm(lens.focus_mm, 2)} +- {cm(lens.focus_se_mm, 2)}"),
         ("scale (radius at infinity)", f"{lens.scale_px:.3f} +- {lens.scale_se_px:.3f} px"),
-        ("stage zero", f"{lens.zero_mm:.2f} +- {lens.zero_se_mm:.2f} mm, {applied}"),
+        ("stage zero", zero),
         ("lens fit residual", f"{_rms(lens.residual_px):.3f} px RMS"),
         ("quality", f"{quality.get('verdict', 'unknown')}{''.join(f'; {r}' for r in quality.get('reasons', ()))}"),
     ]
@@ -81,6 +82,22 @@ def bank_rows(bank: Bank, entry: Entry) -> list[tuple[str, str]]:
     if suspects:
         rows.append(("suspect depths", ", ".join(suspects)))
     return rows
+
+
+def check_activated(bank: Bank, entry: Entry) -> None:
+    """Say so where a bank was stored, but is too bad to be used unseen.
+
+    Raises
+    ------
+    CheckFailedError
+        Its quality is bad and it isn't the active one.
+    """
+    if is_bad(bank) and not entry.active:
+        raise CheckFailedError(
+            f"bank v{entry.version} {entry.id} was stored but not activated: its quality is bad "
+            f"({quality_reasons(bank)}); mend what its report shows, or use it as it is with "
+            f"`workbench bank activate v{entry.version} --force`"
+        )
 
 
 def _rms(values: Any) -> float:
@@ -103,7 +120,7 @@ def list_banks(context: Context) -> None:
     rows = []
     for entry in entries:
         loaded = load_bank(project.banks / entry.id)
-        verdict = loaded.manifest.get("quality", {}).get("verdict", "unknown")
+        verdict = quality_verdict(loaded)
         reach = f"{cm(loaded.depths_mm[0], 0)} to {cm(loaded.depths_mm[-1], 0)}"
         rows.append((f"v{entry.version}", entry.id, entry.state, str(len(loaded.depths_mm)), reach, verdict))
         context.emit(bank_summary(loaded, entry))
@@ -136,9 +153,13 @@ def diff(context: Context, first: str, second: str) -> None:
     if found["same"]:
         context.say("The banks are identical.")
         return
-    for name, unit in (("focus_mm", "mm"), ("scale_px", "px"), ("zero_mm", "mm")):
+    for name, words, per_unit, unit in (
+        ("focus_mm", "focus distance", 10.0, "cm"),
+        ("scale_px", "scale", 1.0, "px"),
+        ("zero_mm", "stage zero", 1.0, "mm"),
+    ):
         value = found[name]
-        context.say(f"{name.rsplit('_', 1)[0]}: {'unknown' if value is None else f'{value:+.3f} {unit}'}")
+        context.say(f"{words}: {'unknown' if value is None else f'{value / per_unit:+.3f} {unit}'}")
     rows = [
         (
             cm(d["depth_mm"], 0),
@@ -159,13 +180,10 @@ def diff(context: Context, first: str, second: str) -> None:
 def verify(context: Context, ref: str) -> None:
     """Check every byte of a bank against its hashes, and its quality against the limits."""
     loaded, entry = open_bank(context.project(), ref)
-    quality = loaded.manifest.get("quality", {})
-    context.emit(
-        {"id": loaded.id, "version": entry.version, "sound": True, "quality": quality.get("verdict", "unknown")}
-    )
+    context.emit({"id": loaded.id, "version": entry.version, "sound": True, "quality": quality_verdict(loaded)})
     context.say(f"bank v{entry.version} {loaded.id}: every byte is as it was written")
-    if quality.get("verdict") == "bad":
-        raise CheckFailedError(f"bank v{entry.version}: quality is bad: {'; '.join(quality.get('reasons', ()))}")
+    if is_bad(loaded):
+        raise CheckFailedError(f"bank v{entry.version}: its quality is bad ({quality_reasons(loaded)})")
 
 
 @bank.command()
@@ -176,7 +194,7 @@ def certify(context: Context, ref: str, note: str) -> None:
     """Certify a bank: somebody looked at it and vouches for it."""
     project = context.project()
     loaded, _ = open_bank(project, ref)
-    if loaded.manifest.get("quality", {}).get("verdict") == "bad":
+    if is_bad(loaded):
         raise CheckFailedError(
             f"bank {ref}: its quality is bad, so it can't be certified; see `workbench bank show {ref}`"
         )
@@ -185,11 +203,17 @@ def certify(context: Context, ref: str, note: str) -> None:
 
 @bank.command()
 @click.argument("ref")
+@click.option("--force", is_flag=True, help="Even though its quality is bad.")
 @command_options
-def activate(context: Context, ref: str) -> None:
+def activate(context: Context, ref: str, force: bool) -> None:
     """Make a bank the active one (an older one: a roll-back)."""
     project = context.project()
-    open_bank(project, ref)
+    loaded, entry = open_bank(project, ref)
+    if is_bad(loaded) and not force:
+        raise CheckFailedError(
+            f"bank v{entry.version} {entry.id}: its quality is bad ({quality_reasons(loaded)}); look at its report, "
+            "then activate it anyway with --force"
+        )
     _told(context, activate_bank(project.banks, ref))
 
 
@@ -236,24 +260,22 @@ def parse_depths(text: str) -> list[float]:
 @bank.command("import")
 @click.argument("path", type=click.Path(path_type=Path))
 @click.option("--depths", help="Depth of each plane: 60,70,80 (cm), or a file with one depth a line.")
-@click.option("--recipe", type=click.Choice(["linear", "superpixel", "native"]), default="superpixel",
-              show_default=True, help="How the images were developed that the PSFs were taken from.")  # fmt: skip
-@click.option("--pixel-pitch", type=LENGTH, help="Pitch of the PSFs' pixels, e.g. 8.6um.")
+@click.option("--recipe", type=click.Choice(["linear", "superpixel", "native"]),
+              help="How the images were developed that the PSFs were taken from.  [default: what the file says, "
+              "else superpixel]")  # fmt: skip
+@click.option("--pixel-pitch", type=PITCH, help="Pitch of the PSFs' pixels, e.g. 8.6um.")
 @command_options
-def import_(context: Context, path: Path, depths: str | None, recipe: str, pixel_pitch: float | None) -> None:
+def import_(context: Context, path: Path, depths: str | None, recipe: str | None, pixel_pitch: float | None) -> None:
     """Make a bank from a stack of PSFs: .npy, .npz, .mat or .tif."""
-    if pixel_pitch is not None and not PITCHES_MM[0] <= pixel_pitch <= PITCHES_MM[1]:
-        raise InputError(
-            f"--pixel-pitch: {1000 * pixel_pitch:g} um is no pitch of pixels; give it with its unit, e.g. 8.6um"
-        )
     project = context.project()
     made = import_bank(
         context.existing(path, "stack of PSFs"), parse_depths(depths) if depths else None,
-        recipe=recipe, pixel_pitch_mm=pixel_pitch,
+        recipe=recipe, pixel_pitch_mm=pixel_pitch, default_recipe="superpixel",
     )  # fmt: skip
     entry = store_bank(project, made).entry
     context.table(("", ""), bank_rows(made, entry), title=f"Bank v{entry.version} {made.id}")
     context.emit(bank_summary(made, entry))
+    check_activated(made, entry)
 
 
 @bank.command()
@@ -270,6 +292,7 @@ def learn(context: Context, ref: str, seed: int) -> None:
     made = replace(loaded, extras={**loaded.extras, **learn_weights(loaded, seed)})
     new = store_bank(project, made).entry
     _told(context, new)
+    check_activated(made, new)
 
 
 @bank.command()

@@ -26,9 +26,11 @@ from workbench.errors import CheckFailedError, InputError
 from workbench.files import json_ready
 from workbench.progress import Step
 from workbench.project import Project, open_project
-from workbench.units import length_mm, seconds_text
+from workbench.units import length_mm, pixel_pitch_mm, seconds_text
 
 EXIT_INTERNAL, EXIT_INPUT, EXIT_CHECK, EXIT_DEVICE, EXIT_INTERRUPTED = 1, 2, 3, 4, 130
+_NO_EDGE = 100_000
+"""Columns that no line reaches."""
 Command = TypeVar("Command", bound=Callable[..., Any])
 
 
@@ -60,10 +62,7 @@ class Context:
     @property
     def console(self) -> Console:
         """Where people read: stdout, or stderr when stdout belongs to a machine."""
-        console = Console(stderr=self.json, soft_wrap=True, highlight=False)
-        if not console.is_terminal:
-            console.width = 160  # a file or pipe has no edge: tables keep their words whole
-        return console
+        return Console(stderr=self.json, soft_wrap=True, highlight=False)
 
     def say(self, text: str = "") -> None:
         """A line for people."""
@@ -85,10 +84,22 @@ class Context:
             title=title, title_justify="left", box=None, pad_edge=False, header_style="bold", show_header=any(columns)
         )
         for index, name in enumerate(columns):
-            table.add_column(name, justify="right" if index and any(columns) else "left", no_wrap=True)
+            # a list of names and values wraps its values, a table keeps its lines
+            table.add_column(
+                name, justify="right" if index and any(columns) else "left", no_wrap=index == 0 or any(columns),
+                overflow="fold",
+            )  # fmt: skip
         for row in rows:
             table.add_row(*(str(cell) for cell in row))
-        self.console.print(table)
+        console = self.console
+        if console.is_terminal:
+            console.print(table)
+            return
+        console.width = _NO_EDGE  # a file or pipe has no edge: nothing is cut or wrapped, nothing padded
+        with console.capture() as captured:
+            console.print(table)
+        for line in captured.get().splitlines():
+            console.print(line.rstrip(), markup=False)
 
     @contextmanager
     def progress(self, title: str) -> Iterator[Callable[[Step], None]]:
@@ -126,7 +137,20 @@ class LengthParam(click.ParamType[float]):
             self.fail(str(error), param, ctx)
 
 
-LENGTH = LengthParam()
+class PitchParam(click.ParamType[float]):
+    """Pitch of a sensor's pixels, with its unit. Value in millimetres."""
+
+    name = "length"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        """Parse one command line value."""
+        try:
+            return value if isinstance(value, float) else pixel_pitch_mm(value)
+        except InputError as error:
+            self.fail(str(error), param, ctx)
+
+
+LENGTH, PITCH = LengthParam(), PitchParam()
 
 
 def command_options(function: Command) -> Command:
@@ -164,6 +188,9 @@ def run(group: click.Group, argv: Sequence[str] | None = None) -> int:
         return result if isinstance(result, int) else 0
     except click.exceptions.Exit as leave:
         return leave.exit_code
+    except click.exceptions.NoArgsIsHelpError as error:
+        print(error.format_message(), file=sys.stderr)
+        return EXIT_INPUT
     except click.UsageError as error:
         hint = f" (see `{error.ctx.command_path} --help`)" if error.ctx else ""
         return _fail(f"{error.format_message()}{hint}", EXIT_INPUT)
@@ -174,7 +201,7 @@ def run(group: click.Group, argv: Sequence[str] | None = None) -> int:
     except CheckFailedError as error:
         return _fail(str(error), EXIT_CHECK)
     except RigError as error:
-        full = getattr(error.__cause__, "errno", None) in (errno.ENOSPC, errno.EDQUOT)
+        full = getattr(error.__cause__, "errno", None) in _FULL
         return _fail(str(error), EXIT_INPUT if full else EXIT_DEVICE)
     except (BrokenPipeError, SystemExit):  # rich and click end the process when stdout is closed
         return _reader_has_gone()
@@ -188,9 +215,13 @@ def run(group: click.Group, argv: Sequence[str] | None = None) -> int:
         return _internal(error)
 
 
-_ADVICE = {
+_FULL = {
     errno.ENOSPC: "free some space and run again",
     errno.EDQUOT: "free some space and run again",
+    errno.EFBIG: "raise the limit on the size of files (`ulimit -f`), or name a disk that takes larger ones",
+}
+_ADVICE = {
+    **_FULL,
     errno.EACCES: "change its permissions or name another place",
     errno.EPERM: "change its permissions or name another place",
     errno.EROFS: "name another place",

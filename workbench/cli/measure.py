@@ -9,7 +9,7 @@ from typing import Any, Literal
 import click
 
 from calibration.bank import Bank
-from workbench.banks import open_bank
+from workbench.banks import is_bad, open_bank, quality_reasons
 from workbench.cli.common import Context, command_options
 from workbench.depth.methods import DEFAULT_METHOD, make_options
 from workbench.errors import InputError
@@ -129,6 +129,10 @@ def measure_photograph(
 ) -> Measurement:  # fmt: skip
     """Measure one photograph, write its files, show the result."""
     measurement = save(measure_one(path, bank, bank_ref, options), bank, project, out)
+    if is_bad(bank):
+        context.note(
+            f"the quality of bank {bank.id} is bad ({quality_reasons(bank)}): depths measured with it may be wrong"
+        )
     context.emit(measurement.as_json(project.relative))
     rows = [
         (

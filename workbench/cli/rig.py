@@ -179,7 +179,7 @@ def run_session(context: Context, project: Project, what: Plan | str) -> None:
 
 
 def _show_bank(context: Context, project: Project, result: CalibrationResult, session: str = "") -> None:
-    from workbench.cli.banks import bank_rows, bank_summary
+    from workbench.cli.banks import bank_rows, bank_summary, check_activated
 
     context.table(
         ("", ""), bank_rows(result.bank, result.entry), title=f"Bank v{result.entry.version} {result.bank.id}"
@@ -195,3 +195,4 @@ def _show_bank(context: Context, project: Project, result: CalibrationResult, se
             "rejected": [{"file": r.path, "reason": r.reason, "message": r.message} for r in result.built.rejected],
         }
     )
+    check_activated(result.bank, result.entry)

@@ -3,7 +3,8 @@
 Every depth that occurs is deconvolved once, from the pixels of its own regions alone: what lies outside, or is
 saturated, is unobserved (the weights of :mod:`workbench.depth.richardson_lucy`), so that a bright neighbour at another
 depth neither rings into a region nor darkens its edge. Where those pixels say next to nothing about the scene, the
-photograph itself stands in. The results are blended over a few pixels with weights that sum to one.
+photograph itself stands in, as it does outside of all regions. The results are blended over a few pixels with weights
+that sum to one.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ from workbench.depth.regions import bounding_box
 from workbench.depth.richardson_lucy import Deconvolver
 
 _REACH_SIGMAS = 3
+_NO_REGION = -1
 _TRUSTED = 0.25
 """A pixel of the scene counts as fully known when this part of its light was observed: a corner of the frame has it."""
 
@@ -45,7 +47,7 @@ def all_focus(
     feather_px: float = 1.0,
     workers: int = 1,
 ) -> NDArray[np.float32]:
-    """Deconvolve each region with the PSF of its depth.
+    """Deconvolve each region with the PSF of its depth; what is in no region stays as photographed.
 
     Parameters
     ----------
@@ -57,7 +59,7 @@ def all_focus(
     labels
         int32 (H, W), 0 = no region.
     estimates
-        By label. Pixels without a depth are taken to be as far as the bank reaches.
+        By label. Regions without a depth are taken to be as far as the bank reaches.
     iterations
         Richardson-Lucy iterations.
     feather_px
@@ -82,14 +84,19 @@ def all_focus(
     depths = len(bank.depths_mm)
     by_place = len(bank.field_yx) > 1
     groups = labels * depths + planes_used if by_place else planes_used
+    groups = np.where(labels > 0, groups, _NO_REGION)
     for group in np.unique(groups):
-        index = group % depths
         mask = (groups == group).astype(np.float32)
-        psfs = bank_at(bank, region_place(mask > 0)).central if by_place else bank.central
         weight = cv2.GaussianBlur(mask, (0, 0), feather_px) if feather_px > 0 else mask
         reach = int(np.ceil(_REACH_SIGMAS * feather_px))
         box = bounding_box(mask, reach)
         local = weight[box]
+        weights[box] += local
+        if group == _NO_REGION:
+            blended[box] += local[:, :, None] * image.planes[box]
+            continue
+        index = group % depths
+        psfs = bank_at(bank, region_place(mask > 0)).central if by_place else bank.central
         observed = (mask[box] > 0) & ~image.saturated[box]
         deconvolver = Deconvolver((local.shape[0], local.shape[1]), bank.psf.shape[-1], mask=observed, workers=workers)
         kernel = deconvolver.kernel(psfs[index])
@@ -98,7 +105,6 @@ def all_focus(
             plane = image.planes[*box, channel]
             sharp = deconvolver.richardson_lucy(plane, kernel, iterations)
             blended[*box, channel] += local * (plane + trust * (sharp - plane))
-        weights[box] += local
     return np.asarray(blended / weights[:, :, None])
 
 

@@ -127,7 +127,8 @@ def _convert(name: str, text: str, kind: Any) -> Any:
     try:
         return kind(text)
     except ValueError:
-        raise MethodError(f"--set {name}={text}: not a {kind.__name__}") from None
+        wanted = "a whole number" if kind is int else "a number"
+        raise MethodError(f"--set {name}={text}: give {wanted}") from None
 
 
 def estimate_depths(
@@ -152,14 +153,17 @@ def estimate_depths(
         See :func:`make_options`.
     """
     found, options = make_options(method, settings)
-    if len(bank.field_yx) == 1:
-        return found.estimate(image, bank, labels, options)
     estimates: dict[int, DepthEstimate] = {}
-    for label in np.unique(labels[labels > 0]):
-        mask = labels == label
-        here = bank_at(bank, region_place(mask))
-        estimates |= found.estimate(image, here, np.where(mask, labels, 0).astype(np.int32), options)
-    return estimates
+    if len(bank.field_yx) == 1:
+        estimates = found.estimate(image, bank, labels, options)
+    else:
+        for label in np.unique(labels[labels > 0]):
+            mask = labels == label
+            here = bank_at(bank, region_place(mask))
+            estimates |= found.estimate(image, here, np.where(mask, labels, 0).astype(np.int32), options)
+    # windows overlap: what an estimator counts may be more than the region has to give
+    usable = np.bincount(labels[(labels > 0) & ~image.saturated], minlength=1 + max(estimates, default=0))
+    return {label: dataclasses.replace(e, pixels=min(e.pixels, int(usable[label]))) for label, e in estimates.items()}
 
 
 def option_values(method: str, settings: Mapping[str, Any]) -> dict[str, Any]:

@@ -381,7 +381,7 @@ def _conclude(
     reason = ""
     if second is not None and curve[best] - curve[second] < options.ambiguity:
         status = "ambiguous"
-        reason = f"{depths[second]:.0f} mm scores within {100 * options.ambiguity:g} % of the best"
+        reason = f"{depths[second] / 10:.1f} cm scores within {100 * options.ambiguity:g} % of the best"
     if saturated > options.max_saturated:
         status = "saturated"
         reason = f"{100 * saturated:.0f} % of the inner pixels are saturated"

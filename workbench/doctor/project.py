@@ -5,7 +5,7 @@ from __future__ import annotations
 from calibration.bank import Bank
 from calibration.errors import BankError
 from calibration.registry import read_registry
-from workbench.banks import open_bank
+from workbench.banks import is_bad, open_bank, quality_reasons, quality_verdict
 from workbench.config import RigConfig
 from workbench.doctor.findings import Finding, Subject
 from workbench.errors import InputError
@@ -72,12 +72,15 @@ def _session(project: Project) -> list[Finding]:
 
 def _bank(project: Project) -> tuple[Finding, Bank | None]:
     try:
-        entry = read_registry(project.banks).active
+        registry = read_registry(project.banks)
     except BankError as error:
         return PROJECT.failure("bank", error), None
+    entry = registry.active
     if entry is None:
-        none = PROJECT.note("bank", "none is active: nothing can be measured yet", "`workbench calibrate` makes one")
-        return none, None
+        mend = "`workbench calibrate` makes one"
+        if registry.entries:
+            mend = f"`workbench bank list`, then `workbench bank activate`, or {mend}"
+        return PROJECT.note("bank", "none is active: nothing can be measured yet", mend), None
     name = f"v{entry.version} {entry.id}"
     try:
         bank, _ = open_bank(project, entry.id)
@@ -87,11 +90,8 @@ def _bank(project: Project) -> tuple[Finding, Bank | None]:
         )
         return damaged, None
     reach = f"{len(bank.depths_mm)} depths, {cm(bank.depths_mm[0], 0)} to {cm(bank.depths_mm[-1], 0)}"
-    quality = bank.manifest.get("quality", {})
-    verdict = quality.get("verdict", "not judged")
-    if verdict == "bad":
-        bad = PROJECT.warning(
-            "bank", f"{name}: its quality is bad: {'; '.join(quality.get('reasons', ()))}", "calibrate anew"
-        )
+    if is_bad(bank):
+        bad = PROJECT.warning("bank", f"{name}: its quality is bad: {quality_reasons(bank)}", "calibrate anew")
         return bad, bank
-    return PROJECT.ok("bank", f"{name}: every byte is as it was written; {reach}; quality {verdict}"), bank
+    said = f"{name}: every byte is as it was written; {reach}; quality {quality_verdict(bank)}"
+    return PROJECT.ok("bank", said), bank

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -220,14 +221,21 @@ def _residual_panel(axes: Axes, bank: Bank, words: NDArray[np.str_]) -> None:
     if reach > limit.bad:
         for sign in (-1, 1):
             axes.axhline(sign * limit.bad, color=VERMILLION, lw=0.8)
+    middle = float(depth_cm.mean())
     for depth, residual, word in zip(depth_cm, lens.residual_px, words, strict=True):
-        if word != "good":
-            axes.annotate(f"{depth:.4g} cm", (depth, residual), (6, 0), textcoords="offset points", fontsize=SMALL,
-                          va="center")  # fmt: skip
+        # next to a residual that dwarfs them others lie on the axis, where their labels would cover them
+        if word != "good" and abs(residual) > 0.1 * reach:
+            axes.annotate(
+                f"{depth:.4g} cm", (depth, residual), (6 if depth < middle else -6, 0), textcoords="offset points",
+                fontsize=SMALL, va="center", ha="left" if depth < middle else "right",
+            )  # fmt: skip
     axes.set_ylabel("measured − fit (px)")
     axes.set_xlabel("depth (cm)")
-    axes.text(0.995, 0.04, f"band: ±{limit.suspect:g} px, suspect beyond", transform=axes.transAxes, ha="right",
-              va="bottom", fontsize=SMALL, color=MUTED)  # fmt: skip
+    low = float(lens.residual_px[depth_cm > middle].sum()) < -limit.bad  # then the upper corner is the free one
+    axes.text(
+        0.995, 0.96 if low else 0.04, f"band: ±{limit.suspect:g} px, suspect beyond", transform=axes.transAxes,
+        ha="right", va="top" if low else "bottom", fontsize=SMALL, color=MUTED,
+    )  # fmt: skip
 
 
 def _by_verdict(
@@ -351,3 +359,10 @@ def figure_name(name: str) -> str:
     words = name.removesuffix("_px").replace("_", " ")
     known = {"residual sigma": "residual in standard errors", "flux snr": "flux SNR", "peak snr": "peak SNR"}
     return known.get(words, words)
+
+
+def in_words(reason: str) -> str:
+    """Replace names of quality figures (``residual_px``) in a sentence by words."""
+    for name in sorted(LIMITS, key=len, reverse=True):
+        reason = re.sub(rf"\b{name}\b", figure_name(name), reason)
+    return reason

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -11,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from calibration.bank import Bank
+from calibration.lens_fit import MIN_DEPTHS_FOR_ZERO
 from calibration.optics import depth_from_radius
 from calibration.quality import LIMITS
 from workbench.figures import bank as bank_figures
@@ -63,7 +63,7 @@ def write_bank_report(bank: Bank, path: Path, *, version: str = "") -> None:
             f"{who}.",
             glyphs=GLYPHS,
             verdict=quality.get("verdict"),
-            reasons=[_in_words(reason) for reason in quality.get("reasons", [])],
+            reasons=[bank_figures.in_words(reason) for reason in quality.get("reasons", [])],
             lens=_lens_rows(bank),
             lens_figures=[_radius_figure(bank)],
             psf_figures=_psf_figures(bank),
@@ -81,20 +81,13 @@ def write_bank_report(bank: Bank, path: Path, *, version: str = "") -> None:
     )
 
 
-def _in_words(reason: str) -> str:
-    """Replace names of figures (``residual_px``) in a sentence by words."""
-    for name in sorted(LIMITS, key=len, reverse=True):
-        reason = re.sub(rf"\b{name}\b", bank_figures.figure_name(name), reason)
-    return reason
-
-
 def _lens_rows(bank: Bank) -> list[dict[str, str]]:
     lens = bank.lens
     rows = [
         ("Focus distance", lens.focus_mm / 10, lens.focus_se_mm / 10, 2, "cm", "depth at which the blur vanishes"),
         ("Blur radius at infinity", lens.scale_px, lens.scale_se_px, 3, "px", "aperture radius × f / (focus − f)"),
         ("Stage zero", lens.zero_mm / 10, lens.zero_se_mm / 10, 3, "cm", "true minus nominal depth; "
-         + ("added to all depths" if lens.zero_applied else "reported only, the depths are nominal")),
+         + _zero_note(bank)),
     ]  # fmt: skip
     radius_mm = bank.manifest.get("aperture", {}).get("radius_mm")
     if radius_mm:
@@ -104,6 +97,12 @@ def _lens_rows(bank: Bank) -> list[dict[str, str]]:
          "meaning": meaning}
         for name, value, error, digits, unit, meaning in rows
     ]  # fmt: skip
+
+
+def _zero_note(bank: Bank) -> str:
+    if not math.isfinite(bank.lens.zero_mm):
+        return f"{bank.depths_mm.size} depths can't tell it, it takes {MIN_DEPTHS_FOR_ZERO}"
+    return "added to all depths" if bank.lens.zero_applied else "reported only, the depths are nominal"
 
 
 def _radius_figure(bank: Bank) -> Shown:

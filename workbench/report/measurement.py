@@ -11,8 +11,10 @@ from typing import Any
 import numpy as np
 
 from calibration.bank import Bank
+from workbench.banks import is_bad, quality_reasons
 from workbench.depth.estimate import DepthEstimate
 from workbench.figures import curves, pictures, sharpness
+from workbench.figures.bank import in_words
 from workbench.figures.perspective import perspective
 from workbench.files import write_text
 from workbench.measurement import Measurement
@@ -85,6 +87,7 @@ def write_measurement_report(
             scene=_scene_figures(measurement),
             decisions=_decision_figures(measurement, truth),
             workings=_working_figures(estimates),
+            bad_bank=in_words(quality_reasons(bank)) if is_bad(bank) else "",
             provenance=_measurement_provenance(measurement, bank),
         ),
     )
@@ -128,7 +131,8 @@ def _scene_figures(measurement: Measurement) -> list[Shown]:
     found = [
         shown(
             "Photograph and all-focus image",
-            "Left: the photograph. Right: each region deconvolved with the PSF of its depth, at the same exposure.",
+            "Left: the photograph. Right: each region deconvolved with the PSF of its depth, at the same exposure."
+            + ("" if measurement.labels.all() else " What is in no region stays as photographed."),
             pictures.photograph_and_all_focus(measurement), "jpeg",
         ),
         shown(
@@ -235,7 +239,8 @@ def _measurement_provenance(measurement: Measurement, bank: Bank) -> list[tuple[
     ]  # fmt: skip
     lens = bank.lens
     calibration: Facts = [
-        ("Bank", measurement.bank_id), ("Asked for as", measurement.bank_ref), ("Recipe", bank.recipe),
+        ("Bank", measurement.bank_id), ("Asked for as", measurement.bank_ref), ("Quality", measurement.bank_quality),
+        ("Recipe", bank.recipe),
         ("Depths", f"{bank.depths_mm.size}, {cm(bank.depths_mm[0])} to {cm(bank.depths_mm[-1])} cm"),
         ("Focus", f"{lens.focus_mm / 10:.2f} ± {lens.focus_se_mm / 10:.2f} cm"),
         ("Made by", f"depth-workbench {bank.manifest.get('software', UNKNOWN)}"),

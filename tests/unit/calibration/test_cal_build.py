@@ -10,6 +10,7 @@ from drawn_points import DEPTHS_MM, FOCUS_MM, as_frame, draw_psf, point_image
 from calibration.build import BuildOptions, BuiltBank, PointFrame, build_bank
 from calibration.errors import DepthListError, FrameError, PointError
 from calibration.frames import find_frames
+from calibration.image import LinearImage
 from calibration.quality import asymmetry
 
 
@@ -128,11 +129,59 @@ def test_two_files_for_the_same_repeat_of_a_depth_are_refused(tmp_path: Path) ->
         find_frames(tmp_path)
 
 
-def test_a_frame_that_is_there_twice_is_refused(tmp_path: Path) -> None:
-    for name, content in (("psf_060cm", "a"), ("psf_070cm", "b"), ("psf_080cm", "c"), ("psf_070cm_2", "b")):
-        (tmp_path / f"{name}.dng").write_text(content)
-    with pytest.raises(FrameError, match=r"psf_070cm_2.dng: is a copy of psf_070cm.dng, byte for byte"):
-        find_frames(tmp_path)
+def test_a_frame_that_is_there_twice_is_refused() -> None:
+    again = point_image(800.0)
+    again = replace(again, info=replace(again.info, path="psf_080cm_2.dng"))
+    frames = [PointFrame(z, (point_image(z), again) if z == 800.0 else (point_image(z),)) for z in DEPTHS_MM]
+    with pytest.raises(FrameError, match=r"psf_080cm_2.dng: is a copy of psf_080cm.dng, byte for byte"):
+        build_bank(frames)
+
+
+def _dark(light: np.ndarray, exposure_s: float = 0.02) -> LinearImage:
+    image = as_frame(light, name="dark_1.dng")
+    return replace(image, info=replace(image.info, exposure_s=exposure_s, iso=100.0))
+
+
+def _bright_spot() -> np.ndarray:
+    light = np.zeros((96, 96))
+    light[40:50, 40:50] = 0.4
+    return light
+
+
+@pytest.mark.parametrize(
+    ("dark", "words"),
+    [
+        (_dark(np.full((96, 96), 1.5)), "saturated"),
+        (_dark(np.zeros((96, 96)), exposure_s=10.0), r"exposed 10 s at ISO 100, but the longest point frame 0.04 s"),
+        (_dark(_bright_spot()), "shows a point"),
+        (point_image(800.0, seed=7), "shows a point"),
+    ],
+    ids=["saturated", "exposed too long", "a spot", "a point frame"],
+)
+def test_a_dark_frame_that_is_none_is_named_with_the_reason(dark: LinearImage, words: str) -> None:
+    frames = []
+    for z in DEPTHS_MM:
+        image = point_image(z)
+        frames.append(PointFrame(z, (replace(image, info=replace(image.info, exposure_s=0.04, iso=100.0)),)))
+    with pytest.raises(FrameError, match=rf"{dark.info.path}: given as a dark frame.*{words}"):
+        build_bank(frames, (dark,))
+    with pytest.raises(FrameError, match=words):
+        build_bank([replace(frames[0], offs=(dark,)), *frames[1:]])
+
+
+def test_a_dark_frame_with_stray_light_and_hot_pixels_is_taken() -> None:
+    yy, xx = np.mgrid[:96, :96]
+    light = 0.02 + 0.01 * xx / 96 + 0.02 * (yy > 60)
+    dark = _dark(light)
+    frames = []
+    for z in DEPTHS_MM:
+        image = point_image(z)
+        lit = image.planes + np.multiply.outer(light, (0.6, 1.0, 0.7)).astype(np.float32)
+        frames.append(PointFrame(z, (replace(image, planes=lit),)))
+    dark.planes[20, 30, 0] = dark.planes[71, 8, 1] = 1.0
+    dark.saturated[20, 30] = dark.saturated[71, 8] = True
+    built = build_bank(frames, (dark,))
+    assert {frame["dark"] for frame in built.bank.manifest["frames"]} == {"pixelwise"}
 
 
 def _table(directory: Path, text: str) -> Path:

@@ -1,4 +1,6 @@
+import errno
 import hashlib
+import io
 import json
 import os
 from pathlib import Path
@@ -97,3 +99,29 @@ def test_a_frame_that_is_missing_short_or_changed_is_not_verified(tmp_path: Path
     good, bad = verified_shots(fold(read_journal(tmp_path / "j")[0]), tmp_path)
     assert list(good) == ["s2"]
     assert bad == ["s0", "s1"]
+
+
+def test_a_record_that_does_not_fit_leaves_none_of_it_and_the_reason_is_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    journal = Journal(tmp_path / "j")
+    journal.append("opened")
+    before = (tmp_path / "j").read_bytes()
+
+    class Limited:
+        """A file that takes ten more bytes."""
+
+        def __init__(self, handle: io.RawIOBase) -> None:
+            self.handle, self.room = handle, 10
+
+        def write(self, data: bytes) -> int:
+            if not self.room:
+                raise OSError(errno.EFBIG, os.strerror(errno.EFBIG))
+            written, self.room = self.handle.write(data[: self.room]) or 0, 0
+            return written
+
+    monkeypatch.setattr(journal, "_handle", Limited(journal._handle))
+    with pytest.raises(OSError, match="too large") as caught:
+        journal.append("shot")
+    assert (caught.value.errno, caught.value.filename) == (errno.EFBIG, str(tmp_path / "j"))
+    assert (tmp_path / "j").read_bytes() == before

@@ -111,7 +111,10 @@ def estimate_from_blur(
     if not known:
         status, reason = "ambiguous", f"a blur of {radius:.1f} px in radius is more than any depth of the bank has"
     elif np.isfinite(mirror):
-        status, reason = "ambiguous", f"{mirror:.0f} mm has the same blur; this method can't tell the side of focus"
+        status, reason = (
+            "ambiguous",
+            f"{mirror / 10:.1f} cm has the same blur; this method can't tell the side of focus",
+        )
     if region.saturated > options.max_saturated:
         status, reason = "saturated", f"{100 * region.saturated:.0f} % of the inner pixels are saturated"
     radii = np.abs(bank.lens.sigma_px(bank.depths_mm))

@@ -49,7 +49,7 @@ def estimate_from_cost(
     status: Status = "ok"
     reason = ""
     if second is not None and 1.0 - score[second] < ambiguity:
-        status, reason = "ambiguous", f"{depths[second]:.0f} mm costs within {100 * ambiguity:g} % of the best"
+        status, reason = "ambiguous", f"{depths[second] / 10:.1f} cm costs within {100 * ambiguity:g} % of the best"
     if region.saturated > max_saturated:
         status, reason = "saturated", f"{100 * region.saturated:.0f} % of the inner pixels are saturated"
     nan = float("nan")

@@ -73,6 +73,6 @@ def common_depths(bank: Bank, second: Bank) -> NDArray[np.intp]:
     worst = int(off.argmax())
     if off[worst] > 0.5 * float(np.abs(np.diff(inverse)).max()):
         raise MismatchError(
-            f"second_bank: has no plane near {bank.depths_mm[worst]:.0f} mm; make both banks at the same depths"
+            f"second_bank: has no plane near {bank.depths_mm[worst] / 10:g} cm; make both banks at the same depths"
         )
     return np.asarray(nearest, np.intp)
