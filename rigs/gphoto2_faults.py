@@ -55,7 +55,7 @@ class Remedy(StrEnum):
     DRAIN = "emptying its event queue, waiting, trying again"
     REOPEN = "closing and opening it again"
     RESTART = "restarting the camera process"
-    REDISCOVER = "waiting for it to come back"
+    REDISCOVER = "waiting for it to come back: wake it with a half press of the release, check the cable"
     POWER_CYCLE = "SWITCH THE CAMERA OFF AND ON NOW; waiting for it to come back"
     SHOOT_AGAIN = "taking the frame again"
 
@@ -239,7 +239,7 @@ _BY_WORD: tuple[tuple[str, Fault], ...] = (
     ("no such device", Fault.GONE),
 )
 """A bare -1 may still carry its reason in the library's log."""
-_RELEASING = frozenset({"trigger", "capture"})
+_RELEASING = frozenset({"trigger", "press", "capture"})
 _DOWNLOADING = frozenset({"download", "size", "discard"})
 
 

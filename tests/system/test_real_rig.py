@@ -195,6 +195,18 @@ def test_another_camera_than_the_one_named_is_refused_before_anything_moves(
     assert rail.sent == b""
 
 
+def test_a_camera_that_is_set_up_wrongly_is_told_before_anything_moves(
+    project: Path, room: DarkRoom, rail: PtyServer
+) -> None:
+    choose(project, "camera", CAMERA + "  aperture: 1.2\n")
+    choose(project, "stage", f"  kind: grbl\n  port: {rail.path}\n  depth: {{offset: {OFFSET_MM} mm}}\n")
+    stopped = call("-C", project, "calibrate", *DEPTHS)
+    assert stopped.code == 4
+    assert "no aperture f/1.2; set camera.aperture to one that it offers: f/2.8" in stopped.err
+    assert not (project / "sessions").exists()
+    assert b"$H" not in rail.sent
+
+
 def test_a_plan_for_a_real_camera_needs_no_camera(project: Path) -> None:
     choose(project, "camera", CAMERA.replace("d750", "650D"))
     cost = done("-C", project, "plan", *DEPTHS, "--repeats", "1", "--json").only

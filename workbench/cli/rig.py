@@ -166,6 +166,7 @@ def run_session(context: Context, project: Project, what: Plan | str) -> None:
             rig.check_reach(made.depths_mm)
         except LimitError as error:
             raise InputError(str(error)) from None
+        rig.camera.exposure_times_s()  # sets a real camera up: what is wrong with it is said before anything moves
         session = what if isinstance(what, str) else project.new_session_id()
         directory = project.sessions / session
         if not isinstance(what, str):
