@@ -10,11 +10,11 @@ from dataclasses import dataclass
 from rigs.browser_panel import BrowserPanel, BrowserPanelSettings
 from rigs.errors import RigError
 from rigs.gphoto2_camera import Gphoto2Camera
-from rigs.gphoto2_config import Gphoto2Settings
+from rigs.gphoto2_config import CameraEvent, Gphoto2Settings
 from rigs.grbl_stage import GrblSettings, GrblStage
 from rigs.manual_stage import ManualSettings, ManualStage
 from rigs.protocols import Camera, Panel, Stage
-from rigs.rig import DepthAxis, Rig
+from rigs.rig import Rig
 from rigs.simulated.devices import SimulatedCamera, SimulatedPanel, SimulatedStage
 from rigs.simulated.followers import FollowedPanel, FollowedStage
 from rigs.simulated.panel_view import PanelSurface
@@ -24,8 +24,9 @@ from rigs.simulated.world import SimulatedRigSettings, SimulatedWorld
 from rigs.zaber_stage import ZaberSettings, ZaberStage
 from workbench.config import CameraConfig, PanelConfig, RigConfig, StageConfig
 from workbench.device_news import DeviceNews
+from workbench.errors import InputError
 from workbench.frame_reader import FrameReader
-from workbench.units import cm
+from workbench.units import cm, length_mm
 
 Tell = Callable[[str], None]
 
@@ -170,8 +171,7 @@ def open_rig(
         for device in reversed(opened):
             _closed(device)
         raise
-    depth = config.stage.depth
-    return Rig(camera, stage, panel, DepthAxis(depth.offset_mm, depth.sign, depth.scale))
+    return Rig(camera, stage, panel, config.stage.depth.axis)
 
 
 def open_camera(opening: Opening) -> Camera:
@@ -221,10 +221,16 @@ def open_stage(opening: Opening) -> Stage:
 
 
 def _manual_stage(config: StageConfig) -> ManualStage:
-    axis = DepthAxis(config.depth.offset_mm, config.depth.sign, config.depth.scale)
+    axis = config.depth.axis
     limits = config.limits_mm or MANUAL_LIMITS_MM
-    settings = ManualSettings(limits, lambda position: cm(axis.depth_mm(position)))
-    return ManualStage(settings, _ask_operator)
+
+    def read(text: str) -> float:
+        try:
+            return axis.position_mm(length_mm(text, default_unit="cm"))
+        except InputError as error:
+            raise ValueError(str(error)) from None
+
+    return ManualStage(ManualSettings(limits, lambda position: cm(axis.depth_mm(position)), read), _ask_operator)
 
 
 def grbl_settings(config: StageConfig) -> GrblSettings:
@@ -257,6 +263,7 @@ def _ask_operator(question: str) -> str:
     print(question, end="", file=sys.stderr, flush=True)
     answer = sys.stdin.readline()
     if not answer:
+        print(file=sys.stderr)  # what is said next begins a line of its own
         raise EOFError
     return answer.rstrip("\n")
 
@@ -277,7 +284,8 @@ def open_panel(opening: Opening) -> Panel:
     config = opening.config.panel
     if config.kind == "simulated":
         return SimulatedPanel(opening.world)
-    panel = BrowserPanel(browser_panel_settings(config))
+    news = opening.news or DeviceNews(opening.tell)
+    panel = BrowserPanel(browser_panel_settings(config), on_notice=lambda text: news(CameraEvent(text)))
     opening.tell(panel.invitation())
     try:
         panel.wait_ready(_PAGE_PATIENCE_S)

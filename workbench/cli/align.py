@@ -64,7 +64,7 @@ def align(
         settings = AlignSettings(config.panel.host, port, config.panel.token)
         server = AlignServer(settings, feed, aligner.actions(), active=pattern.capitalize())
         opened.callback(server.close)
-        context.note(f"open {server.urls()[0]} in a browser; Ctrl-C ends")
+        context.note(server.invitation())
         try:
             aligner.show(pattern)
             for seen in aligner.looks(count):

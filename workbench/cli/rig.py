@@ -171,7 +171,7 @@ def run_session(context: Context, project: Project, what: Plan | str) -> None:
         directory = project.sessions / session
         if not isinstance(what, str):
             create_session(directory, made)
-        with context.progress(f"session {session}") as observer:
+        with context.progress(f"session {session}", asks=config.stage.kind == "manual") as observer:
             runner = SessionRunner(directory, made, rig, observer=observer, check=frames.read, news=news)
             state = runner.run()
     context.note("making the bank")

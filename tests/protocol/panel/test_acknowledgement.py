@@ -6,6 +6,7 @@ import time
 
 import pytest
 
+from rigs.browser_panel import BrowserPanel, BrowserPanelSettings
 from rigs.errors import NotAcknowledgedError, PanelError
 from rigs.protocols import Panel, Pattern
 
@@ -134,6 +135,22 @@ def test_newest_page_takes_over_and_the_operator_can_see_it(make_panel, make_pag
     showing = background(lambda: panel.show(DOT))
     second.paint(second.next("show")["sequence"])
     showing.result()
+
+
+def test_page_of_another_size_than_before_is_pointed_out(background, make_page):
+    notices = []
+    panel = BrowserPanel(BrowserPanelSettings(port=0, settle_s=0, require_fullscreen=False), on_notice=notices.append)
+    try:
+        page = make_page(panel)
+        for width in (1280, 1280, 800):
+            showing = background(lambda: panel.show(DOT))
+            page.paint(page.next("show")["sequence"], width_px=width)
+            showing.result()
+        assert notices == [
+            "panel: its page is 800 x 800 px now, and was 1280 x 800 px: is it the same screen, not turned?"
+        ]
+    finally:
+        panel.close()
 
 
 def test_silent_page_is_given_up(make_panel, make_page):

@@ -14,7 +14,7 @@ from websockets.sync.client import ClientConnection, connect
 
 from rigs.align_feed import AlignFeed, AlignSample, AlignTolerance, judge
 from rigs.align_server import AlignServer, AlignSettings
-from rigs.errors import PanelError
+from rigs.errors import ConfigError, DeviceBusyError, PanelError
 
 
 def sample(**changes) -> AlignSample:
@@ -135,6 +135,20 @@ def test_align_page_on_the_network_needs_its_token():
         assert httpx.get(bare).status_code == 403
         with pytest.raises(InvalidStatus), connect(bare.replace("http", "ws") + "/socket"):
             pass
-        assert "█" in server.qr()
+        invitation = server.invitation()
+        assert "█" in invitation or "127.0.0.1" in server.urls()[0]  # a machine without a network has nobody to invite
+        assert f"align: open {server.urls()[0]}" in invitation
     finally:
         server.close()
+
+
+def test_taken_port_and_a_foreign_address_name_what_can_be_changed():
+    first = AlignServer(AlignSettings(port=0), AlignFeed())
+    try:
+        port = int(first.urls()[0].split(":")[2].split("/")[0])
+        with pytest.raises(DeviceBusyError, match=rf"align: 127.0.0.1:{port} is taken .* end it or set --port"):
+            AlignServer(AlignSettings(port=port), AlignFeed())
+    finally:
+        first.close()
+    with pytest.raises(ConfigError, match=r"panel\.host: can't listen on 192\.0\.2\.77"):
+        AlignServer(AlignSettings(host="192.0.2.77", port=0), AlignFeed())
