@@ -85,6 +85,7 @@ class Response:
     message: str
 
 
+_GO_ON = "then go on (a calibration: `workbench resume`)"
 _SWITCHES = "lens switch to MF, mirror lock-up and self-timer off"
 _FETCH_AGAIN = (Remedy.AGAIN, Remedy.REOPEN, Remedy.SHOOT_AGAIN)
 
@@ -105,39 +106,37 @@ RESPONSES: Mapping[Fault, Response] = MappingProxyType(
             (Remedy.REDISCOVER, Remedy.REDISCOVER),
             ConnectionLostError,
             "gone from USB: wake it with a half press of the release, switch its auto power off to `disable`, "
-            "check cable and battery, then `workbench resume`",
+            f"check cable and battery, {_GO_ON}",
         ),
         Fault.FROZEN: Response(
             (Remedy.RESTART, Remedy.POWER_CYCLE),
             DeviceTimeoutError,
-            "doesn't answer any more: switch it off and on (or take the battery out for a moment), "
-            "then `workbench resume`",
+            f"doesn't answer any more: switch it off and on (or take the battery out for a moment), {_GO_ON}",
         ),
         Fault.HUNG: Response(
             (Remedy.RESTART, Remedy.POWER_CYCLE),
             DeviceTimeoutError,
-            "a call to it hung and was broken off: switch it off and on, check the cable, then `workbench resume`",
+            f"a call to it hung and was broken off: switch it off and on, check the cable, {_GO_ON}",
         ),
         Fault.CRASHED: Response(
             (Remedy.RESTART, Remedy.RESTART),
             CameraError,
-            "libgphoto2 crashed more than once: switch the camera off and on, then `workbench resume`",
+            f"libgphoto2 crashed more than once: switch the camera off and on, {_GO_ON}",
         ),
         Fault.STORE_FULL: Response(
             (),
             CameraError,
-            "no space for another frame: put in an empty card or format this one in the camera, "
-            "then `workbench resume`",
+            f"no space for another frame: put in an empty card or format this one in the camera, {_GO_ON}",
         ),
         Fault.CARD_REMOVED: Response(
             (),
             CameraError,
-            "its card was taken out: put it back, close the card door, then `workbench resume`",
+            f"its card was taken out: put it back, close the card door, {_GO_ON}",
         ),
         Fault.BATTERY: Response(
             (),
             CameraError,
-            "battery empty: charge or exchange it (a mains adapter is best), then `workbench resume`",
+            f"battery empty: charge or exchange it (a mains adapter is best), {_GO_ON}",
         ),
         Fault.NO_RELEASE: Response(
             (Remedy.DRAIN, Remedy.REOPEN),

@@ -31,16 +31,19 @@ def sample(**changes) -> AlignSample:
 @pytest.mark.parametrize(
     ("changes", "level", "text"),
     [
-        ({}, "good", "centred within 12 px"),
+        ({}, "good", "centred within 20 px"),
         ({"centroid_px": (470.0, 440.4)}, "warn", "off centre: 30 px left and 40 px down"),
         ({"centroid_px": (900.0, 400.0)}, "bad", "off centre: 400 px right"),
         ({"saturated_px": 214, "peak": 1.0}, "bad", "saturated: shorten the exposure (214 px at white)"),
         ({"peak": 0.95}, "warn", "nearly saturated: shorten the exposure (95 % of white)"),
         ({"peak": 0.1}, "warn", "dim: lengthen the exposure (10 % of white)"),
         ({"width_px": 6.0}, "warn", "wider: 1.50 times the narrowest, 4.0 px"),
+        ({"task": "cross-hair: turn the camera", "centroid_px": None}, "info", "cross-hair: turn the camera"),
+        ({"task": "white: in view?", "saturated_px": 9}, "bad", "saturated: shorten the exposure (9 px at white)"),
+        ({"failed": True, "note": "camera: no image arrived"}, "bad", "no frame: camera: no image arrived"),
         ({"centroid_px": None}, "bad", "no point: is the dot on, and the panel in view?"),
         ({"centroid_px": None, "note": "two points found"}, "bad", "no point: two points found"),
-        ({"target_px": (600.0, 396.0)}, "bad", "off centre: 97 px left"),
+        ({"target_px": (600.0, 396.0)}, "warn", "off centre: 97 px left"),
     ],
 )
 def test_most_urgent_finding_comes_first_and_says_what_to_do(changes, level, text):
