@@ -178,6 +178,7 @@ class AlignFeed:
         self._latest: Published | None = None
         self._history: deque[dict[str, Any]] = deque(maxlen=_HISTORY)
         self._narrowest_px: float | None = None
+        self._news = ""
         self._listeners: list[tuple[asyncio.AbstractEventLoop, asyncio.Event]] = []
 
     def push(self, sample: AlignSample) -> tuple[Finding, ...]:
@@ -204,6 +205,8 @@ class AlignFeed:
             }
             image = sample.image or (b"" if self._latest is None else self._latest.image)
             self._latest = Published(number, time.monotonic(), text, image)
+            if not sample.failed:
+                self._news = ""
             self._announce()
             return findings
 
@@ -217,6 +220,17 @@ class AlignFeed:
         with self._lock:
             self._narrowest_px = None
             self._history.clear()
+
+    def tell(self, text: str) -> None:
+        """Show a line until the next frame comes: what is wrong with a device, and what the operator should do."""
+        with self._lock:
+            self._news = text
+            self._announce()
+
+    def news(self) -> str:
+        """The line that is to be shown now; empty: none."""
+        with self._lock:
+            return self._news
 
     def latest(self) -> Published | None:
         """The newest sample as pages get it."""

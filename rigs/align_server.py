@@ -137,12 +137,13 @@ class AlignServer:
             # A slow page misses samples, never the newest.
             if latest is not None and latest.number != shown:
                 shown = latest.number
-                await socket.send_json({**latest.text, "age_s": time.monotonic() - latest.at_s})
+                age_s = time.monotonic() - latest.at_s
+                await socket.send_json({**latest.text, "age_s": age_s, "news": self._feed.news()})
                 if latest.image is not image:
                     image = latest.image
                     await socket.send_bytes(image)
             else:
-                await socket.send_json({"type": "beat", "active": self._active})
+                await socket.send_json({"type": "beat", "active": self._active, "news": self._feed.news()})
             with suppress(TimeoutError):
                 await asyncio.wait_for(news.wait(), _BEAT_S)
 

@@ -122,7 +122,9 @@ def simulated_scene_truth(config: RigConfig) -> SceneTruth:
 
 
 @contextmanager
-def open_camera_and_panel(config: RigConfig, *, tell: Tell, frames: FrameReader) -> Iterator[tuple[Camera, Panel]]:
+def open_camera_and_panel(
+    config: RigConfig, *, tell: Tell, frames: FrameReader, news: DeviceNews
+) -> Iterator[tuple[Camera, Panel]]:
     """Open what is needed to look at the panel where it stands; both are closed in the end.
 
     Raises
@@ -130,7 +132,7 @@ def open_camera_and_panel(config: RigConfig, *, tell: Tell, frames: FrameReader)
     RigError
         A device is missing, busy or wrong.
     """
-    opening = Opening(config, tell, frames)
+    opening = Opening(config, tell, frames, news)
     with ExitStack() as opened:
         camera = open_camera(opening)
         opened.callback(_closed, camera)

@@ -10,7 +10,7 @@
 
   let socket = null, wait = 250, silence = 0;
   let latest = null, picture = null, history = [], shownAt = 0;
-  let actions = [], active = "";
+  let actions = [], active = "", news = "";
 
   // ---- connection ------------------------------------------------------------------------------------------------
 
@@ -61,6 +61,10 @@
     } else if (message.type === "beat" && message.active !== active) {
       active = message.active;
       showActions();
+    }
+    if (message.news !== undefined && message.news !== news) {
+      news = message.news;
+      byId("trouble").textContent = capital(news);
     }
     showAge();
   }

@@ -158,3 +158,15 @@ def test_long_exposure_is_not_called_old_before_its_time(served, feed, open_page
     page.get_by_text("live", exact=True).wait_for(timeout=5000)
     page.wait_for_timeout(6000)
     assert page.locator("#live").inner_text() == "live"
+
+
+def test_what_a_device_says_stands_on_the_page_until_a_frame_comes(served, feed, open_page):
+    feed.push(sample())
+    page = open_page(served[0].urls()[0])
+    feed.tell("camera: frozen; SWITCH THE CAMERA OFF AND ON NOW")
+    page.get_by_text("SWITCH THE CAMERA OFF AND ON NOW").wait_for(timeout=5000)
+    feed.push(sample(failed=True, note="camera: no image arrived"))
+    page.get_by_text("No frame: camera").wait_for(timeout=5000)
+    assert "SWITCH" in page.locator("#trouble").inner_text()
+    feed.push(sample())
+    page.wait_for_function("document.getElementById('trouble').textContent === ''", timeout=5000)
