@@ -85,7 +85,6 @@ class Response:
     message: str
 
 
-_GO_ON = "then go on (a calibration: `workbench resume`)"
 _SWITCHES = "lens switch to MF, mirror lock-up and self-timer off"
 _FETCH_AGAIN = (Remedy.AGAIN, Remedy.REOPEN, Remedy.SHOOT_AGAIN)
 
@@ -106,37 +105,37 @@ RESPONSES: Mapping[Fault, Response] = MappingProxyType(
             (Remedy.REDISCOVER, Remedy.REDISCOVER),
             ConnectionLostError,
             "gone from USB: wake it with a half press of the release, switch its auto power off to `disable`, "
-            f"check cable and battery, {_GO_ON}",
+            "check cable and battery",
         ),
         Fault.FROZEN: Response(
             (Remedy.RESTART, Remedy.POWER_CYCLE),
             DeviceTimeoutError,
-            f"doesn't answer any more: switch it off and on (or take the battery out for a moment), {_GO_ON}",
+            "doesn't answer any more: switch it off and on (or take the battery out for a moment)",
         ),
         Fault.HUNG: Response(
             (Remedy.RESTART, Remedy.POWER_CYCLE),
             DeviceTimeoutError,
-            f"a call to it hung and was broken off: switch it off and on, check the cable, {_GO_ON}",
+            "a call to it hung and was broken off: switch it off and on, check the cable",
         ),
         Fault.CRASHED: Response(
             (Remedy.RESTART, Remedy.RESTART),
             CameraError,
-            f"libgphoto2 crashed more than once: switch the camera off and on, {_GO_ON}",
+            "libgphoto2 crashed more than once: switch the camera off and on",
         ),
         Fault.STORE_FULL: Response(
             (),
             CameraError,
-            f"no space for another frame: put in an empty card or format this one in the camera, {_GO_ON}",
+            "no space for another frame: put in an empty card or format this one in the camera",
         ),
         Fault.CARD_REMOVED: Response(
             (),
             CameraError,
-            f"its card was taken out: put it back, close the card door, {_GO_ON}",
+            "its card was taken out: put it back, close the card door",
         ),
         Fault.BATTERY: Response(
             (),
             CameraError,
-            f"battery empty: charge or exchange it (a mains adapter is best), {_GO_ON}",
+            "battery empty: charge or exchange it (a mains adapter is best)",
         ),
         Fault.NO_RELEASE: Response(
             (Remedy.DRAIN, Remedy.REOPEN),

@@ -110,7 +110,7 @@ class ManualStage:
             else:
                 self._position_mm = stands_mm
                 return stands_mm
-        raise StageError("stage: no usable answer; go on with `workbench resume`")
+        raise StageError("stage: no usable answer; read the tape measure and answer again")
 
     def _check(self, position_mm: float) -> None:
         low, high = self._settings.limits_mm

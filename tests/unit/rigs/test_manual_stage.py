@@ -58,7 +58,7 @@ def test_an_answer_out_of_range_is_asked_for_again() -> None:
 def test_without_anybody_to_answer_it_says_so() -> None:
     with pytest.raises(StageError, match="terminal"):
         ManualStage(ManualSettings((0, 3000)), _answers()).move_to_mm(1.0)
-    with pytest.raises(StageError, match="resume"):
+    with pytest.raises(StageError, match="no usable answer"):
         ManualStage(ManualSettings((0, 3000)), _answers("a", "b", "c")).move_to_mm(1.0)
 
 
