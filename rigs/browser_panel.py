@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from rigs.errors import ConfigError, PanelError
+from rigs.errors import ConfigError, NotAcknowledgedError, PanelError
 from rigs.panel_patterns import Picture, drawing, outside
 from rigs.panel_server import PageLink, PanelStatus, panel_application
 from rigs.protocols import DeviceIdentity, PanelAck, Pattern
@@ -139,6 +139,20 @@ class BrowserPanel:
             fullscreen=page.fullscreen,
             painted_after_s=painted_after_s,
         )
+
+    def check_shown(self) -> None:
+        """After an exposure: the page is still there, in front, and as large as when it painted.
+
+        Raises
+        ------
+        NotAcknowledgedError
+            It isn't: the frame may show something else.
+        """
+        state = self._link.still_painted()
+        if (state.width_px, state.height_px) != self._size_px:
+            raise NotAcknowledgedError(
+                "panel: its page changed its size during the exposure: lock the tablet's rotation"
+            )
 
     def _look_at_size(self, size_px: tuple[int, int]) -> None:
         """A tablet that was turned, or another one, moves every dot but that in the middle, or makes it larger."""

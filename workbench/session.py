@@ -8,8 +8,8 @@
                    interrupted / failed
 
 At each depth: move and confirm, meter (once per depth, unless the journal has it), then every shot: pattern painted
-and acknowledged, exposure, frame checked, record appended. A shot counts when its record is on disk. Whatever ends a
-session early, the stage is stopped first.
+and acknowledged, exposure, pattern still shown, frame checked, record appended. A shot counts when its record is on
+disk. Whatever ends a session early, the stage is stopped first.
 """
 
 from __future__ import annotations
@@ -254,6 +254,7 @@ class SessionRunner:
                 self._rig.panel.show(pattern.pattern())
                 result = self._rig.camera.capture(exposure, path)
                 path = result.path
+                self._rig.panel.check_shown()
                 if sha256_file(result.path) != result.sha256:
                     raise CaptureError(f"{result.path}: differs from what the camera delivered; check the disk")
                 return result, self._check(result.path)

@@ -153,6 +153,54 @@ def test_page_of_another_size_than_before_is_pointed_out(background, make_page):
         panel.close()
 
 
+def _painted(panel, page, background):
+    showing = background(lambda: panel.show(DOT))
+    page.paint(page.next("show")["sequence"])
+    showing.result()
+
+
+def _told(panel, page, **state):
+    page.report(**state)
+    wanted = {**page.state, **state}["width_px"], {**page.state, **state}["visible"]
+    deadline = time.monotonic() + 5
+    while (panel.status().page.width_px, panel.status().page.visible) != wanted and time.monotonic() < deadline:
+        time.sleep(0.01)
+
+
+@pytest.mark.parametrize(
+    ("meanwhile", "says"),
+    [
+        ({"visible": False}, "not seen to the end of the exposure: the page is hidden"),
+        ({"width_px": 800}, "changed its size during the exposure: lock the tablet's rotation"),
+    ],
+)
+def test_pattern_that_went_during_the_exposure_is_noticed_after_it(make_panel, make_page, background, meanwhile, says):
+    panel = make_panel()
+    page = make_page(panel)
+    _painted(panel, page, background)
+    panel.check_shown()
+    _told(panel, page, **meanwhile)
+    with pytest.raises(NotAcknowledgedError, match=says):
+        panel.check_shown()
+
+
+def test_page_lost_or_replaced_during_the_exposure_is_noticed_after_it(make_panel, make_page, background):
+    panel = make_panel()
+    first = make_page(panel)
+    _painted(panel, first, background)
+    second = make_page(panel)
+    second.report()
+    panel.wait_ready(2)
+    with pytest.raises(NotAcknowledgedError, match=r"took over .* leave one page open"):
+        panel.check_shown()
+    second.close()
+    deadline = time.monotonic() + 5
+    while panel.status().connected and time.monotonic() < deadline:
+        time.sleep(0.01)
+    with pytest.raises(NotAcknowledgedError, match=r"to the end of the exposure: the connection .* is lost"):
+        panel.check_shown()
+
+
 def test_silent_page_is_given_up(make_panel, make_page):
     panel = make_panel(heartbeat_s=0.05)
     page = make_page(panel)
