@@ -173,6 +173,9 @@ class WorkerProcess:
         """Let the camera go politely, within the deadline; then the process ends."""
         if self._process is not None:
             broken_off = self._answered_id != self._next_id
-            with suppress(FaultError, OSError):
+            try:
                 self.call("close", min(deadline_s, _BROKEN_OFF_S) if broken_off else deadline_s)
-        self.kill()
+            except (FaultError, OSError):
+                pass
+            finally:  # a second Ctrl-C, too, must leave nothing behind that holds the camera
+                self.kill()

@@ -4,17 +4,16 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 
 from rigs.browser_panel import BrowserPanel, BrowserPanelSettings
-from rigs.errors import RigError
 from rigs.gphoto2_camera import Gphoto2Camera
 from rigs.gphoto2_config import CameraEvent, Gphoto2Settings
 from rigs.grbl_stage import GrblSettings, GrblStage
 from rigs.manual_stage import ManualSettings, ManualStage
 from rigs.protocols import Camera, Panel, Stage
-from rigs.rig import Rig
+from rigs.rig import Rig, close_quietly
 from rigs.simulated.devices import SimulatedCamera, SimulatedPanel, SimulatedStage
 from rigs.simulated.followers import FollowedPanel, FollowedStage
 from rigs.simulated.panel_view import PanelSurface
@@ -135,15 +134,10 @@ def open_camera_and_panel(
     opening = Opening(config, tell, frames, news)
     with ExitStack() as opened:
         camera = open_camera(opening)
-        opened.callback(_closed, camera)
+        opened.callback(close_quietly, camera)
         panel = open_panel(opening)
-        opened.callback(_closed, panel)
+        opened.callback(close_quietly, panel)
         yield camera, panel
-
-
-def _closed(device: Camera | Stage | Panel) -> None:
-    with suppress(RigError):
-        device.close()
 
 
 def open_rig(
@@ -171,7 +165,7 @@ def open_rig(
         panel = open_panel(opening)
     except BaseException:
         for device in reversed(opened):
-            _closed(device)
+            close_quietly(device)
         raise
     return Rig(camera, stage, panel, config.stage.depth.axis)
 

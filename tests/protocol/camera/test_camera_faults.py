@@ -280,3 +280,20 @@ def test_live_view_that_is_not_there_is_told_apart_from_trouble(script: Script) 
 def test_a_library_that_is_missing_is_said_so(script: Script) -> None:
     with pytest.raises(ConfigError, match="pip install gphoto2"):
         script(failing("list", 0))
+
+
+def test_a_second_interrupt_while_the_camera_is_closed_leaves_no_process_behind(
+    script: Script, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    camera = script().camera
+    process = camera._link.process
+    pid = process.pid
+    assert pid is not None
+
+    def interrupted(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(process, "call", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        camera.close()
+    assert not Path(f"/proc/{pid}").exists()
