@@ -46,6 +46,8 @@ class AlignSample:
     """What a pixel covers on the panel."""
     exposure_s: float | None = None
     iso: int | None = None
+    longest: bool = False
+    """The camera offers no longer exposure than this frame's."""
     note: str = ""
     """Why something couldn't be measured, for the operator."""
     task: str = ""
@@ -146,7 +148,12 @@ def _exposure(sample: AlignSample, tolerance: AlignTolerance) -> Finding | None:
             "exposure", "warn", f"nearly saturated: shorten the exposure ({100 * sample.peak:.0f} % of white)"
         )
     if sample.peak < low:
-        return Finding("exposure", "warn", f"dim: lengthen the exposure ({100 * sample.peak:.0f} % of white)")
+        what = (
+            "dim at the longest exposure: brighten the panel, enlarge the dot, or raise the ISO"
+            if sample.longest
+            else "dim: lengthen the exposure"
+        )
+        return Finding("exposure", "warn", f"{what} ({100 * sample.peak:.0f} % of white)")
     return Finding("exposure", "good", "well exposed")
 
 

@@ -161,6 +161,8 @@ class Aligner:
         if shown != "dot":
             return only_show(image, shown, exposure)
         sample = look(image, exposure)
+        if exposure is not None:
+            sample = replace(sample, longest=exposure.time_s >= max(self._times))
         if self._panel_scale is None or image.pixel_pitch_mm is None:
             return sample
         return replace(sample, panel_mm_per_px=self._panel_scale(image.pixel_pitch_mm))

@@ -37,6 +37,11 @@ def sample(**changes) -> AlignSample:
         ({"saturated_px": 214, "peak": 1.0}, "bad", "saturated: shorten the exposure (214 px at white)"),
         ({"peak": 0.95}, "warn", "nearly saturated: shorten the exposure (95 % of white)"),
         ({"peak": 0.1}, "warn", "dim: lengthen the exposure (10 % of white)"),
+        (
+            {"peak": 0.1, "longest": True},
+            "warn",
+            "dim at the longest exposure: brighten the panel, enlarge the dot, or raise the ISO (10 % of white)",
+        ),
         ({"width_px": 6.0}, "warn", "wider: 1.50 times the narrowest, 4.0 px"),
         ({"task": "cross-hair: turn the camera", "centroid_px": None}, "info", "cross-hair: turn the camera"),
         ({"task": "white: in view?", "saturated_px": 9}, "bad", "saturated: shorten the exposure (9 px at white)"),
