@@ -189,6 +189,7 @@ def test_page_lost_or_replaced_during_the_exposure_is_noticed_after_it(make_pane
     first = make_page(panel)
     _painted(panel, first, background)
     second = make_page(panel)
+    second.next("hello")  # it is in control now
     second.report()
     panel.wait_ready(2)
     with pytest.raises(NotAcknowledgedError, match=r"took over .* leave one page open"):
