@@ -327,10 +327,13 @@ def _native(
 
 
 def _check_pixels(image: LinearImage) -> None:
-    """Files of the wrong kind decode without complaint to nothing: look at the pixels."""
+    """Files of the wrong kind decode without complaint to nothing: look at the pixels.
+
+    A frame that is saturated everywhere is a photograph, though of no use: it tells that its exposure was too long.
+    """
     planes, path = image.planes, image.info.path
     low, high = float(planes.min()), float(planes.max())
-    if high == low:
+    if high == low and not image.saturated.all():
         what = "all zero" if abs(high) < 1e-12 or high < 0 else f"all equal ({high:.4g} of white)"
         raise FrameError(f"{path}: decodes, but its pixels are {what}; this is no usable RAW file, take it again")
     if high <= 0:

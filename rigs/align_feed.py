@@ -17,7 +17,9 @@ from typing import Any, Literal
 
 _HISTORY = 240
 
-Level = Literal["good", "warn", "bad"]
+_CENTRE_SHARE, _CENTRE_PX = 0.02, 12.0
+
+Level = Literal["good", "info", "warn", "bad"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,8 +46,14 @@ class AlignSample:
     """What a pixel covers on the panel."""
     exposure_s: float | None = None
     iso: int | None = None
+    longest: bool = False
+    """The camera offers no longer exposure than this frame's."""
     note: str = ""
     """Why something couldn't be measured, for the operator."""
+    task: str = ""
+    """What to look for in a frame of a pattern that holds no point; empty: of the dot."""
+    failed: bool = False
+    """No frame came; ``note`` says why."""
 
     def offset_px(self) -> tuple[float, float] | None:
         """Centroid minus target (x to the right, y down); None without a point."""
@@ -66,17 +74,23 @@ class AlignSample:
 class AlignTolerance:
     """What counts as aligned."""
 
-    centre_px: float = 12.0
-    """Largest distance from the target."""
+    centre_px: float | None = None
+    """Largest distance from the target; None: 2 % of the frame's width, over which no lens changes, or 12 px."""
     peak: tuple[float, float] = (0.3, 0.9)
     """Wanted brightest value, fraction of white."""
     width_ratio: float = 1.08
     """Largest width relative to the narrowest seen that still counts as in focus."""
 
+    def centre_px_of(self, sample: AlignSample) -> float:
+        """Largest distance from the target in this frame."""
+        if self.centre_px is not None:
+            return self.centre_px
+        return max(_CENTRE_SHARE * sample.frame_width_px, _CENTRE_PX)
+
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One judgement: ``aspect`` is point, centre, exposure or focus."""
+    """One judgement: ``aspect`` is frame, pattern, point, centre, exposure or focus."""
 
     aspect: str
     level: Level
@@ -93,8 +107,13 @@ def judge(sample: AlignSample, tolerance: AlignTolerance, narrowest_px: float | 
     narrowest_px
         Smallest width seen so far, pixels; None: not known.
     """
+    if sample.failed:
+        return (Finding("frame", "bad", f"no frame: {sample.note}"),)
+    if sample.task:
+        shown = Finding("pattern", "info", sample.task)
+        return (_saturated(sample), shown) if sample.saturated_px else (shown,)
     findings = [_centre(sample, tolerance), _exposure(sample, tolerance), _focus(sample, tolerance, narrowest_px)]
-    urgency = {"bad": 0, "warn": 1, "good": 2}
+    urgency = {"bad": 0, "warn": 1, "info": 2, "good": 3}
     return tuple(sorted((f for f in findings if f is not None), key=lambda finding: urgency[finding.level]))
 
 
@@ -103,19 +122,24 @@ def _centre(sample: AlignSample, tolerance: AlignTolerance) -> Finding:
     if offset is None:
         return Finding("point", "bad", f"no point: {sample.note or 'is the dot on, and the panel in view?'}")
     distance = math.hypot(*offset)
-    if distance <= tolerance.centre_px:
-        return Finding("centre", "good", f"centred within {tolerance.centre_px:g} px")
+    allowed = tolerance.centre_px_of(sample)
+    if distance <= allowed:
+        return Finding("centre", "good", f"centred within {allowed:.0f} px")
     sides = ((offset[0], "left", "right"), (offset[1], "up", "down"))
     words = [f"{math.floor(abs(v) + 0.5)} px {low if v < 0 else high}" for v, low, high in sides if abs(v) >= 1]
-    level: Level = "warn" if distance <= 5 * tolerance.centre_px else "bad"
+    level: Level = "warn" if distance <= 5 * allowed else "bad"
     on_panel = sample.offset_mm()
     about = "" if on_panel is None else f" ({math.hypot(*on_panel):.0f} mm on the panel)"
     return Finding("centre", level, f"off centre: {' and '.join(words)}{about}")
 
 
+def _saturated(sample: AlignSample) -> Finding:
+    return Finding("exposure", "bad", f"saturated: shorten the exposure ({sample.saturated_px} px at white)")
+
+
 def _exposure(sample: AlignSample, tolerance: AlignTolerance) -> Finding | None:
     if sample.saturated_px > 0:
-        return Finding("exposure", "bad", f"saturated: shorten the exposure ({sample.saturated_px} px at white)")
+        return _saturated(sample)
     if sample.peak is None:
         return None
     low, high = tolerance.peak
@@ -124,7 +148,12 @@ def _exposure(sample: AlignSample, tolerance: AlignTolerance) -> Finding | None:
             "exposure", "warn", f"nearly saturated: shorten the exposure ({100 * sample.peak:.0f} % of white)"
         )
     if sample.peak < low:
-        return Finding("exposure", "warn", f"dim: lengthen the exposure ({100 * sample.peak:.0f} % of white)")
+        what = (
+            "dim at the longest exposure: brighten the panel, enlarge the dot, or raise the ISO"
+            if sample.longest
+            else "dim: lengthen the exposure"
+        )
+        return Finding("exposure", "warn", f"{what} ({100 * sample.peak:.0f} % of white)")
     return Finding("exposure", "good", "well exposed")
 
 
@@ -156,6 +185,7 @@ class AlignFeed:
         self._latest: Published | None = None
         self._history: deque[dict[str, Any]] = deque(maxlen=_HISTORY)
         self._narrowest_px: float | None = None
+        self._news = ""
         self._listeners: list[tuple[asyncio.AbstractEventLoop, asyncio.Event]] = []
 
     def push(self, sample: AlignSample) -> tuple[Finding, ...]:
@@ -178,10 +208,12 @@ class AlignFeed:
                 "sample": {**facts, "offset_px": offset, "distance_px": distance, "offset_mm": sample.offset_mm()},
                 "findings": [asdict(finding) for finding in findings],
                 "narrowest_px": self._narrowest_px,
-                "tolerance": asdict(self._tolerance),
+                "tolerance": {**asdict(self._tolerance), "centre_px": self._tolerance.centre_px_of(sample)},
             }
             image = sample.image or (b"" if self._latest is None else self._latest.image)
             self._latest = Published(number, time.monotonic(), text, image)
+            if not sample.failed:
+                self._news = ""
             self._announce()
             return findings
 
@@ -195,6 +227,17 @@ class AlignFeed:
         with self._lock:
             self._narrowest_px = None
             self._history.clear()
+
+    def tell(self, text: str) -> None:
+        """Show a line until the next frame comes: what is wrong with a device, and what the operator should do."""
+        with self._lock:
+            self._news = text
+            self._announce()
+
+    def news(self) -> str:
+        """The line that is to be shown now; empty: none."""
+        with self._lock:
+            return self._news
 
     def latest(self) -> Published | None:
         """The newest sample as pages get it."""

@@ -27,7 +27,7 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 from rigs.align_feed import AlignFeed
 from rigs.errors import RigError
 from rigs.web_pages import asset, page_response
-from rigs.web_server import WebServer, qr_text
+from rigs.web_server import WebServer, invitation
 
 _log = logging.getLogger(__name__)
 _BEAT_S = 1.0
@@ -92,15 +92,17 @@ class AlignServer:
                 WebSocketRoute("/align/socket", self._serve),
             ]
         )
-        self._server = WebServer("align", application, host=settings.host, port=settings.port, token=settings.token)
+        self._server = WebServer(
+            "align", application, host=settings.host, port=settings.port, token=settings.token, port_setting="--port"
+        )
 
     def urls(self) -> tuple[str, ...]:
         """Addresses of the page, best first, with the token where there is one."""
         return self._server.urls("align")
 
-    def qr(self) -> str:
-        """QR code of the first address, as text for the terminal."""
-        return qr_text(self.urls()[0])
+    def invitation(self) -> str:
+        """What the operator needs to open the page: its address, and a code where another device can reach it."""
+        return invitation("align", self.urls()[0], "; Ctrl-C ends")
 
     def close(self) -> None:
         """Stop serving and free the port; safe to call twice."""
@@ -135,12 +137,13 @@ class AlignServer:
             # A slow page misses samples, never the newest.
             if latest is not None and latest.number != shown:
                 shown = latest.number
-                await socket.send_json({**latest.text, "age_s": time.monotonic() - latest.at_s})
+                age_s = time.monotonic() - latest.at_s
+                await socket.send_json({**latest.text, "age_s": age_s, "news": self._feed.news()})
                 if latest.image is not image:
                     image = latest.image
                     await socket.send_bytes(image)
             else:
-                await socket.send_json({"type": "beat", "active": self._active})
+                await socket.send_json({"type": "beat", "active": self._active, "news": self._feed.news()})
             with suppress(TimeoutError):
                 await asyncio.wait_for(news.wait(), _BEAT_S)
 

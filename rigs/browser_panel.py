@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import threading
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 
-from rigs.errors import ConfigError, PanelError
+from rigs.errors import ConfigError, NotAcknowledgedError, PanelError
 from rigs.panel_patterns import Picture, drawing, outside
 from rigs.panel_server import PageLink, PanelStatus, panel_application
 from rigs.protocols import DeviceIdentity, PanelAck, Pattern
-from rigs.web_server import WebServer, qr_text
+from rigs.web_server import WebServer, invitation
 
 __all__ = ["BrowserPanel", "BrowserPanelSettings", "PanelStatus"]
 
@@ -43,6 +44,13 @@ class BrowserPanel:
 
     The server listens from construction to :meth:`close`.
 
+    Parameters
+    ----------
+    settings
+        Where, and when an acknowledgement counts.
+    on_notice
+        Hears of what the operator should look at: another size of the page than before.
+
     Raises
     ------
     DeviceBusyError
@@ -51,13 +59,14 @@ class BrowserPanel:
         Host, port or token can't be used.
     """
 
-    def __init__(self, settings: BrowserPanelSettings) -> None:
-        self._settings = settings
+    def __init__(self, settings: BrowserPanelSettings, *, on_notice: Callable[[str], None] = lambda _: None) -> None:
+        self._settings, self._on_notice = settings, on_notice
+        self._size_px: tuple[int, int] | None = None
         self._showing = threading.Lock()
         self._link = PageLink(
             require_fullscreen=settings.require_fullscreen,
             heartbeat_s=settings.heartbeat_s,
-            hint="open the panel's address on the tablet, or scan the code that the workbench prints",
+            hint="open the panel's address, which the workbench printed at its start",
         )
         self._server = WebServer(
             "panel", panel_application(self._link), host=settings.host, port=settings.port, token=settings.token
@@ -67,13 +76,9 @@ class BrowserPanel:
         """Addresses of the page, best first, with the token where there is one."""
         return self._server.urls("panel")
 
-    def qr(self) -> str:
-        """QR code of the first address, as text for the terminal."""
-        return qr_text(self.urls()[0])
-
     def invitation(self) -> str:
-        """What the operator needs to open the page: code and address."""
-        return f"{self.qr()}\npanel: open {self.urls()[0]} on the tablet, then tap the page once"
+        """What the operator needs to open the page: its address, and a code where a tablet can reach it."""
+        return invitation("panel", self.urls()[0], ", then tap the page once")
 
     def status(self) -> PanelStatus:
         """How the page is doing now; touches nothing."""
@@ -119,6 +124,7 @@ class BrowserPanel:
             sequence = self._link.request(drawn, picture)
             page = self._link.wait_painted(sequence, self._settings.ack_timeout_s)
             painted_after_s = time.monotonic() - started
+        self._look_at_size((page.width_px, page.height_px))
         if (point := outside(pattern, page.width_px, page.height_px)) is not None:
             raise PanelError(
                 f"panel: a dot of {pattern.size_px:g} px at ({point[0]:g}, {point[1]:g}) isn't wholly on the panel of "
@@ -133,6 +139,27 @@ class BrowserPanel:
             fullscreen=page.fullscreen,
             painted_after_s=painted_after_s,
         )
+
+    def check_shown(self) -> None:
+        """After an exposure: the page is still there, in front, and as large as when it painted.
+
+        Raises
+        ------
+        NotAcknowledgedError
+            It isn't: the frame may show something else.
+        """
+        state = self._link.still_painted()
+        if (state.width_px, state.height_px) != self._size_px:
+            raise NotAcknowledgedError(
+                "panel: its page changed its size during the exposure: lock the tablet's rotation"
+            )
+
+    def _look_at_size(self, size_px: tuple[int, int]) -> None:
+        """A tablet that was turned, or another one, moves every dot but that in the middle, or makes it larger."""
+        before, self._size_px = self._size_px, size_px
+        if before not in (None, size_px):
+            now, then = (f"{width} x {height} px" for width, height in (size_px, before))
+            self._on_notice(f"panel: its page is {now} now, and was {then}: is it the same screen, not turned?")
 
     def close(self) -> None:
         """Stop the server and free the port; safe to call twice."""

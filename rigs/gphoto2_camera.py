@@ -29,6 +29,8 @@ from rigs.protocols import CaptureResult, DeviceIdentity, Exposure
 _MOST_REMEDIES = 6
 """In one operation, over all kinds of trouble."""
 _CLOSE_WAITS_S = 1.0
+_AS_OF_AUTOFOCUS = frozenset({Fault.NO_RELEASE, Fault.BUSY})
+"""How a release fails whose autofocus finds nothing in the dark."""
 
 T = TypeVar("T")
 
@@ -223,8 +225,8 @@ class Gphoto2Camera:
             return None
         remedy = remedies[used[trouble.fault]]
         used[trouble.fault] += 1
-        if trouble.op == "trigger" and self._settings.release == "auto":
-            self._shooter.avoid_autofocus = True  # autofocus that finds nothing fails in just this way
+        if trouble.op == "trigger" and trouble.fault in _AS_OF_AUTOFOCUS and self._settings.release == "auto":
+            self._shooter.avoid_autofocus = True
         self._on_event(CameraEvent(f"camera: {trouble}; {remedy}", trouble.fault, remedy, used[trouble.fault]))
         return remedy
 

@@ -55,7 +55,7 @@ class Remedy(StrEnum):
     DRAIN = "emptying its event queue, waiting, trying again"
     REOPEN = "closing and opening it again"
     RESTART = "restarting the camera process"
-    REDISCOVER = "waiting for it to come back"
+    REDISCOVER = "waiting for it to come back: wake it with a half press of the release, check the cable"
     POWER_CYCLE = "SWITCH THE CAMERA OFF AND ON NOW; waiting for it to come back"
     SHOOT_AGAIN = "taking the frame again"
 
@@ -105,39 +105,37 @@ RESPONSES: Mapping[Fault, Response] = MappingProxyType(
             (Remedy.REDISCOVER, Remedy.REDISCOVER),
             ConnectionLostError,
             "gone from USB: wake it with a half press of the release, switch its auto power off to `disable`, "
-            "check cable and battery, then `workbench resume`",
+            "check cable and battery",
         ),
         Fault.FROZEN: Response(
             (Remedy.RESTART, Remedy.POWER_CYCLE),
             DeviceTimeoutError,
-            "doesn't answer any more: switch it off and on (or take the battery out for a moment), "
-            "then `workbench resume`",
+            "doesn't answer any more: switch it off and on (or take the battery out for a moment)",
         ),
         Fault.HUNG: Response(
             (Remedy.RESTART, Remedy.POWER_CYCLE),
             DeviceTimeoutError,
-            "a call to it hung and was broken off: switch it off and on, check the cable, then `workbench resume`",
+            "a call to it hung and was broken off: switch it off and on, check the cable",
         ),
         Fault.CRASHED: Response(
             (Remedy.RESTART, Remedy.RESTART),
             CameraError,
-            "libgphoto2 crashed more than once: switch the camera off and on, then `workbench resume`",
+            "libgphoto2 crashed more than once: switch the camera off and on",
         ),
         Fault.STORE_FULL: Response(
             (),
             CameraError,
-            "no space for another frame: put in an empty card or format this one in the camera, "
-            "then `workbench resume`",
+            "no space for another frame: put in an empty card or format this one in the camera",
         ),
         Fault.CARD_REMOVED: Response(
             (),
             CameraError,
-            "its card was taken out: put it back, close the card door, then `workbench resume`",
+            "its card was taken out: put it back, close the card door",
         ),
         Fault.BATTERY: Response(
             (),
             CameraError,
-            "battery empty: charge or exchange it (a mains adapter is best), then `workbench resume`",
+            "battery empty: charge or exchange it (a mains adapter is best)",
         ),
         Fault.NO_RELEASE: Response(
             (Remedy.DRAIN, Remedy.REOPEN),
@@ -239,7 +237,7 @@ _BY_WORD: tuple[tuple[str, Fault], ...] = (
     ("no such device", Fault.GONE),
 )
 """A bare -1 may still carry its reason in the library's log."""
-_RELEASING = frozenset({"trigger", "capture"})
+_RELEASING = frozenset({"trigger", "press", "capture"})
 _DOWNLOADING = frozenset({"download", "size", "discard"})
 
 

@@ -17,6 +17,7 @@ _POLL_S = 0.5
 _CLOSE_S = 3.0
 _DRAIN_S = 3.0
 _DRAIN_SLICE_S = 0.05
+_SETTLE_S = 0.1
 _FAULTS_OF_RETURNING = frozenset(
     {Fault.GONE, Fault.FROZEN, Fault.HUNG, Fault.HELD, Fault.BUSY, Fault.REFUSED, Fault.CRASHED}
 )
@@ -88,6 +89,9 @@ class CameraLink:
             try:
                 self._connect()
                 return
+            except DeviceNotFoundError:  # switched off just now, as it was asked for
+                if time.monotonic() >= deadline:
+                    raise
             except FaultError as trouble:
                 if trouble.fault not in _FAULTS_OF_RETURNING or time.monotonic() >= deadline:
                     raise
@@ -186,6 +190,11 @@ class CameraLink:
                 return
             if event["event"] == "file" and (memory_target or event["folder"] == "/"):
                 self.call("discard", self._settings.download_timeout_s, folder=event["folder"], name=event["name"])
+
+    def settle(self, *, memory_target: bool) -> None:
+        """Give the camera time to report what was changed."""
+        time.sleep(_SETTLE_S)
+        self.drain(memory_target=memory_target)
 
     def apply(self, remedy: Remedy, attempt: int, *, memory_target: bool) -> None:
         """Do what is to be done about trouble, up to having the camera open again.

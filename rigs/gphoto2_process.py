@@ -25,6 +25,8 @@ WORKER_COMMAND: tuple[str, ...] = (sys.executable, "-P", "-m", "rigs.gphoto2_wor
 
 _LAST_WORDS_BYTES = 2000
 _FAREWELL_S = 2.0
+_BROKEN_OFF_S = 1.0
+"""Patience at closing with a process whose last call was broken off by Ctrl-C: it may hang for minutes."""
 
 
 class WorkerProcess:
@@ -46,7 +48,7 @@ class WorkerProcess:
         self._process: subprocess.Popen[bytes] | None = None
         self._unpacker = Unpacker()
         self._stderr: IO[bytes] | None = None
-        self._next_id = 0
+        self._next_id = self._answered_id = 0
         self.starts = 0
         """How many processes were started so far."""
 
@@ -81,6 +83,7 @@ class WorkerProcess:
         except (BrokenPipeError, ValueError):
             raise self._dead(op) from None
         reply = self._reply(process, op, number, time.monotonic() + deadline_s)
+        self._answered_id = number
         if "os_error" in reply:
             error = reply["os_error"]
             raise OSError(error["errno"], error["text"], arguments.get("path"))
@@ -153,6 +156,7 @@ class WorkerProcess:
         process, self._process = self._process, None
         if process is None:
             return
+        self._answered_id = self._next_id
         with suppress(ProcessLookupError):
             process.kill()
         with suppress(subprocess.TimeoutExpired):  # stuck in the kernel: it ends when its USB transfer does
@@ -168,6 +172,10 @@ class WorkerProcess:
     def close(self, deadline_s: float) -> None:
         """Let the camera go politely, within the deadline; then the process ends."""
         if self._process is not None:
-            with suppress(FaultError, OSError):
-                self.call("close", deadline_s)
-        self.kill()
+            broken_off = self._answered_id != self._next_id
+            try:
+                self.call("close", min(deadline_s, _BROKEN_OFF_S) if broken_off else deadline_s)
+            except (FaultError, OSError):
+                pass
+            finally:  # a second Ctrl-C, too, must leave nothing behind that holds the camera
+                self.kill()

@@ -53,6 +53,7 @@ NAMES: Mapping[str, tuple[str, ...]] = MappingProxyType(
 )
 """Our name of a setting and the names that libgphoto2's drivers have for it, best first."""
 
+_REREADS = 3
 _READ_PER_FRAME = ("image_format", "capture_target", "aperture", "focus", "battery")
 
 Same = Callable[[str, str], bool]
@@ -195,8 +196,12 @@ class CameraSetup:
         return value if same(chosen, value) else self._set(ours, chosen, same)
 
     def _set(self, ours: str, chosen: str, same: Same) -> str:
-        widget = self._link.set(self._names[ours], chosen)
-        self._widgets[ours] = widget
+        widget = self._widgets[ours] = self._link.set(self._names[ours], chosen)
+        for _ in range(_REREADS):
+            if same(chosen, widget.value):
+                break
+            self._link.settle(memory_target=self.memory_target)  # some cameras report a change only after a while
+            widget = self._widgets[ours] = self._link.get(self._names[ours])
         if not same(chosen, widget.value):
             raise SettingError(
                 f"camera: {ours.replace('_', ' ')} was set to {chosen}, but reads {widget.value or 'nothing'}; "

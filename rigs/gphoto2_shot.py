@@ -101,8 +101,7 @@ class Shooter:
         patience = self._settings.call_timeout_s + 2 * exposure_s
         without_autofocus = release_without_autofocus(self._setup.choices("release"))
         if self.avoid_autofocus and without_autofocus is not None:
-            for value in without_autofocus:
-                self._link.call("set", patience, name=self._setup.driver_name("release"), value=value)
+            self._link.call("press", patience, name=self._setup.driver_name("release"), values=without_autofocus)
             return None
         if self._settings.release != "capture":
             try:
@@ -149,7 +148,7 @@ class Shooter:
                 files.append(file)
         elif event["event"] == "other" and (match := _PTP_EVENT.match(event["text"])):
             fault = _PTP_FAULTS.get(match[1].lower())
-            if fault is not None:
+            if fault is not None and not files:  # a frame that just fitted is a frame
                 raise FaultError(fault, "wait", event["text"])
         return bool(event["event"] == "complete")
 

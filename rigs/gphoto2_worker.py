@@ -125,15 +125,27 @@ class Library:
 
     def op_set(self, name: str, value: str | int | float) -> dict[str, Any]:
         """Set one widget and read it back from the camera."""
-        camera = self._opened()
-        widget = camera.get_single_config(name)
-        widget.set_value(value)
-        camera.set_single_config(name, widget)
+        self._put(self._opened(), name, value)
         return self.op_get(name)
 
     def op_trigger(self) -> None:
         """Release the shutter; files come as events."""
         self._opened().trigger_capture()
+
+    def op_press(self, name: str, values: list[str]) -> None:
+        """Press and let go of the shutter release by one widget's values in turn; files come as events."""
+        camera = self._opened()
+        press, *let_go = values
+        try:
+            self._put(camera, name, press)
+        finally:  # a button that stays down keeps the camera busy
+            for value in let_go:
+                self._put(camera, name, value)
+
+    def _put(self, camera: Any, name: str, value: str | int | float) -> None:
+        widget = camera.get_single_config(name)
+        widget.set_value(value)
+        camera.set_single_config(name, widget)
 
     def op_capture(self) -> list[str]:
         """Release the shutter and wait for the first file (cameras that can't be triggered)."""

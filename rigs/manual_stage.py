@@ -1,7 +1,7 @@
 """A stage that is moved by hand: the operator is asked to move the panel, and confirms.
 
 Labs without a rail calibrate this way. The position is what the operator says: Enter confirms the one that was asked
-for, a number (mm) says where the panel really stands.
+for, a length says where the panel really stands.
 """
 
 from __future__ import annotations
@@ -19,6 +19,10 @@ _SECONDS_PER_MOVE = 30.0
 _TRIES = 3
 
 
+def _millimetres(text: str) -> float:
+    return float(text.removesuffix("mm"))
+
+
 @dataclass(frozen=True, slots=True)
 class ManualSettings:
     """Where the panel may stand.
@@ -29,10 +33,13 @@ class ManualSettings:
         Smallest and largest position.
     describe
         Turns a position (mm) into the words that the operator reads, e.g. ``120 cm``.
+    read
+        Turns such words back into a position (mm); raises ValueError where they are none.
     """
 
     limits_mm: tuple[float, float]
     describe: Callable[[float], str] = "{:g} mm".format
+    read: Callable[[str], float] = _millimetres
 
 
 class ManualStage:
@@ -78,32 +85,32 @@ class ManualStage:
         Raises
         ------
         LimitError
-            The position, asked for or answered, is out of range.
+            The position that was asked for is out of range.
         StageError
             Nobody can answer, or the answers make no sense.
         """
         self._check(position_mm)
-        question = (
-            f"Please move the panel to {self._settings.describe(position_mm)} and press Enter "
-            "(or type where it stands, in mm of the stage): "
-        )
+        asked = self._settings.describe(position_mm)
+        question = f"Move the panel to {asked} and press Enter (or type where it really stands, e.g. {asked}): "
         for _ in range(_TRIES):
             try:
                 answer = self._ask(question).strip()
             except EOFError:
-                raise StageError("stage: nobody can answer here; run a manual stage from a terminal") from None
-            if not answer:
-                self._position_mm = position_mm
-                return position_mm
+                raise StageError(
+                    "stage: nobody answers here (end of input); run a manual stage from a terminal"
+                ) from None
             try:
-                stands_mm = float(answer.removesuffix("mm"))
+                stands_mm = self._settings.read(answer) if answer else position_mm
+                self._check(stands_mm)
             except ValueError:
-                question = f"{answer!r} is no number of millimetres; press Enter or type the position: "
-                continue
-            self._check(stands_mm)
-            self._position_mm = stands_mm
-            return stands_mm
-        raise StageError("stage: no usable answer; start again with `workbench resume`")
+                question = f"{answer!r} is no length; press Enter for {asked}, or type where it stands: "
+            except LimitError:
+                low, high = map(self._settings.describe, self._settings.limits_mm)
+                question = f"{answer} isn't within {low} to {high}; press Enter for {asked}, or type where it stands: "
+            else:
+                self._position_mm = stands_mm
+                return stands_mm
+        raise StageError("stage: no usable answer; read the tape measure and answer again")
 
     def _check(self, position_mm: float) -> None:
         low, high = self._settings.limits_mm

@@ -127,6 +127,22 @@ class PageLink:
                     raise NotAcknowledgedError(f"panel: nothing painted within {timeout_s:g} s: {why}")
                 self._changed.wait(left)
 
+    def still_painted(self) -> PageState:
+        """What the page says of itself now.
+
+        Raises
+        ------
+        NotAcknowledgedError
+            What it has acknowledged may not be seen any more: it is lost, hidden, or another one came.
+        """
+        with self._changed:
+            problem = self._problem()
+            if not problem and self._painted is None:
+                problem = f"{self._notice}: leave one page open, and lock the tablet's rotation"
+            if problem or self._state is None:
+                raise NotAcknowledgedError(f"panel: not seen to the end of the exposure: {problem}")
+            return self._state
+
     def wait_ready(self, timeout_s: float) -> PanelStatus:
         """Wait until a page is connected, visible and (where required) full screen.
 

@@ -170,6 +170,10 @@ class Panel(Protocol):
         """Paint; returns after the confirmation; raises NotAcknowledgedError when it doesn't come in time."""
         ...
 
+    def check_shown(self) -> None:
+        """After an exposure: raises NotAcknowledgedError where what was painted last may have gone meanwhile."""
+        ...
+
     def close(self) -> None:
         """Release the device; safe to call twice."""
         ...

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from types import TracebackType
 
@@ -35,6 +35,12 @@ class DepthAxis:
         return min(a, b), max(a, b)
 
 
+def close_quietly(device: Camera | Stage | Panel) -> None:
+    """Close a device whose last words nobody needs."""
+    with suppress(RigError):
+        device.close()
+
+
 @dataclass(frozen=True, slots=True)
 class Rig:
     """The devices of one session. Closing stops the stage first, and closes what can be closed."""
@@ -61,10 +67,10 @@ class Rig:
                 )
 
     def close(self) -> None:
-        """Close all three devices, whatever state they are in."""
-        for device in (self.stage, self.panel, self.camera):
-            with suppress(RigError):
-                device.close()
+        """Close all three devices, whatever state they are in, and whatever interrupts it."""
+        with ExitStack() as closing:
+            for device in (self.camera, self.panel, self.stage):  # from the last to the first
+                closing.callback(close_quietly, device)
 
     def __enter__(self) -> Rig:
         return self

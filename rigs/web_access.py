@@ -7,11 +7,23 @@ import secrets
 from urllib.parse import parse_qs, urlsplit
 
 from starlette.datastructures import Headers, MutableHeaders
-from starlette.responses import PlainTextResponse
+from starlette.responses import HTMLResponse
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 _LOOPBACK_NAMES = frozenset({"localhost", "127.0.0.1", "::1"})
 _PLAIN_HOST = re.compile(r"[A-Za-z0-9.\-]+(:\d+)?|\[[0-9A-Fa-f:]+\](:\d+)?")
+
+_REFUSAL = """<!doctype html>
+<html lang="en">
+<meta charset="utf-8">
+<meta name="viewport" content="width=device-width, initial-scale=1">
+<meta name="color-scheme" content="dark">
+<title>Refused</title>
+<h1>Refused</h1>
+<p>{reason}</p>
+</html>
+"""
+"""Dark without a style sheet: it may come up on a panel."""
 
 
 class AccessControl:
@@ -63,7 +75,7 @@ async def _refuse(scope: Scope, receive: Receive, send: Send, reason: str) -> No
         await receive()
         await send({"type": "websocket.close", "code": 1008, "reason": reason})
         return
-    response = PlainTextResponse(f"403: {reason}\n", status_code=403)
+    response = HTMLResponse(_REFUSAL.format(reason=reason), status_code=403)
     _guard(response.headers, "")
     await response(scope, receive, send)
 

@@ -11,6 +11,7 @@ import threading
 import time
 from contextlib import suppress
 from io import StringIO
+from urllib.parse import urlsplit
 
 import segno
 import uvicorn
@@ -34,7 +35,7 @@ def is_loopback(host: str) -> bool:
         return False
 
 
-def effective_token(name: str, host: str, token: str) -> str:
+def effective_token(section: str, host: str, token: str) -> str:
     """The token that guards an address: the configured one, or a fresh one where the network can reach it.
 
     Raises
@@ -46,7 +47,8 @@ def effective_token(name: str, host: str, token: str) -> str:
         return "" if is_loopback(host) else secrets.token_urlsafe(16)
     if len(token) < _SHORTEST_TOKEN or not all(c.isascii() and (c.isalnum() or c in "-_") for c in token):
         raise ConfigError(
-            f"{name}.token: needs at least {_SHORTEST_TOKEN} letters, digits, - or _; leave it empty to have one made"
+            f"{section}.token: needs at least {_SHORTEST_TOKEN} letters, digits, - or _; "
+            "leave it empty to have one made"
         )
     return token
 
@@ -57,13 +59,17 @@ class WebServer:
     Parameters
     ----------
     name
-        Section of rig.yaml that error messages name.
+        What is served, as error messages begin.
     application
         What is served, behind token, Origin and Host checks (:class:`rigs.web_access.AccessControl`).
     host, port
         Address; port 0 takes a free one.
     token
         Guards the address; empty: none on loopback, a fresh random one elsewhere.
+    section
+        Section of rig.yaml that host and token come from; error messages name it.
+    port_setting
+        Where the operator sets the port.
 
     Raises
     ------
@@ -73,10 +79,20 @@ class WebServer:
         The address isn't one of this computer's, or the token is unfit.
     """
 
-    def __init__(self, name: str, application: ASGIApp, *, host: str, port: int, token: str) -> None:
+    def __init__(
+        self,
+        name: str,
+        application: ASGIApp,
+        *,
+        host: str,
+        port: int,
+        token: str,
+        section: str = "panel",
+        port_setting: str = "panel.port",
+    ) -> None:
         self._host = host
-        self.token = effective_token(name, host, token)
-        self._socket = _listen(name, host, port)
+        self.token = effective_token(section, host, token)
+        self._socket = _listen(name, host, port, f"{section}.host", port_setting)
         self.port: int = self._socket.getsockname()[1]
         guarded = AccessControl(application, token=self.token, loopback_only=is_loopback(host))
         self._server = uvicorn.Server(
@@ -101,7 +117,7 @@ class WebServer:
         while not self._server.started:
             if not self._thread.is_alive() or time.monotonic() > deadline:
                 self.close()
-                raise RigError(f"{name}: the web server on {host}:{self.port} didn't start; try another {name}.port")
+                raise RigError(f"{name}: the web server on {host}:{self.port} didn't start; try another {port_setting}")
             time.sleep(0.005)
 
     def _serve(self) -> None:
@@ -120,6 +136,21 @@ class WebServer:
         self._socket.close()
 
 
+def invitation(name: str, url: str, then: str) -> str:
+    """What the operator needs to open a page: its address, and a code to scan where another device can reach it.
+
+    Parameters
+    ----------
+    name, url
+        Whose page it is, and where.
+    then
+        What to do next, e.g. ``; Ctrl-C ends``.
+    """
+    if is_loopback(urlsplit(url).hostname or ""):
+        return f"{name}: open {url} in a browser on this computer{then}"
+    return f"{qr_text(url)}\n{name}: open {url} (the code above holds it){then}"
+
+
 def qr_text(url: str) -> str:
     """QR code of a URL as lines of block characters, for a terminal of either background."""
     text = StringIO()
@@ -127,13 +158,13 @@ def qr_text(url: str) -> str:
     return text.getvalue()
 
 
-def _listen(name: str, host: str, port: int) -> socket.socket:
+def _listen(name: str, host: str, port: int, host_setting: str, port_setting: str) -> socket.socket:
     address = f"{host}:{port}"
     try:
         family, kind, protocol, _, target = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
         listener = socket.socket(family, kind, protocol)
     except OSError as error:
-        raise ConfigError(f"{name}.host: {host!r} is no address of this computer ({error.strerror})") from None
+        raise ConfigError(f"{host_setting}: {host!r} is no address of this computer ({error.strerror})") from None
     try:
         listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         listener.bind(target)
@@ -142,11 +173,11 @@ def _listen(name: str, host: str, port: int) -> socket.socket:
         listener.close()
         if error.errno == errno.EADDRINUSE:
             raise DeviceBusyError(
-                f"{name}: {address} is taken by another program (another workbench?); end it or set {name}.port"
+                f"{name}: {address} is taken by another program (another workbench?); end it or set {port_setting}"
             ) from None
         if error.errno == errno.EACCES:
-            raise ConfigError(f"{name}.port: {port} needs administrator rights; choose one above 1023") from None
-        raise ConfigError(f"{name}.host: can't listen on {address} ({error.strerror}); see `ip address`") from None
+            raise ConfigError(f"{port_setting}: {port} needs administrator rights; choose one above 1023") from None
+        raise ConfigError(f"{host_setting}: can't listen on {address} ({error.strerror}); see `ip address`") from None
     return listener
 
 

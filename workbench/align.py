@@ -122,24 +122,27 @@ class Aligner:
         taken = troubles = 0
         while frames is None or taken < frames:
             try:
-                sample = self._look()
+                sample, shown = self._look()
                 troubles = 0
             except (CaptureError, FrameError) as error:
                 troubles += 1
                 if troubles == TRIES:
                     raise
-                sample = AlignSample(*self._frame_px, note=str(error))
+                # Where the frame would have lain is of no interest to anybody.
+                note = str(error).replace(f"{self._scratch}/", "")
+                sample, shown = AlignSample(*self._frame_px, note=note, failed=True), self._pattern
             self._frame_px = sample.frame_width_px, sample.frame_height_px
             taken += 1
-            yield Seen(sample, self._feed.push(sample), self._pattern)
+            yield Seen(sample, self._feed.push(sample), shown)
 
-    def _look(self) -> AlignSample:
+    def _look(self) -> tuple[AlignSample, str]:
+        """One frame, and the pattern that the panel showed at its beginning."""
         shown, exposure = self._pattern, self._exposure
         if self._live_view:
             image = preview_image(self._camera.preview())
             if image is None:
                 raise CaptureError("camera: its live view is no JPEG; leave out --live-view")
-            return self._judge(image, shown, None)
+            return self._judge(image, shown, None), shown
         path: Path | None = None
         try:
             path = self._camera.capture(exposure, self._scratch / "align.dng").path
@@ -149,15 +152,17 @@ class Aligner:
                 path.unlink(missing_ok=True)
         if self._follow and shown == self._pattern != "black":
             self._adjust(image)
-        return self._judge(image, shown, exposure)
+        return self._judge(image, shown, exposure), shown
 
     def _judge(self, image: LinearImage, shown: str, exposure: Exposure | None) -> AlignSample:
         """Measure a frame of the dot; one during which the panel was switched shows neither pattern."""
         if shown != self._pattern:
-            return only_show(image, "a new pattern")
+            return only_show(image, "", exposure)
         if shown != "dot":
-            return only_show(image, shown)
+            return only_show(image, shown, exposure)
         sample = look(image, exposure)
+        if exposure is not None:
+            sample = replace(sample, longest=exposure.time_s >= max(self._times))
         if self._panel_scale is None or image.pixel_pitch_mm is None:
             return sample
         return replace(sample, panel_mm_per_px=self._panel_scale(image.pixel_pitch_mm))

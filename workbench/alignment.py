@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from types import MappingProxyType
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -82,12 +84,26 @@ def look(image: LinearImage, exposure: Exposure | None) -> AlignSample:
     )  # fmt: skip
 
 
-def only_show(image: LinearImage, pattern: str) -> AlignSample:
-    """A frame of a pattern that holds no point: shown, not measured."""
+TASKS = MappingProxyType(
+    {
+        "cross-hair": "cross-hair: turn the camera until the cross stands in the middle",
+        "white": "white: is the whole panel in view, and evenly lit?",
+        "black": "black: all light that is left comes from the room",
+        "": "the panel was switched during this frame",
+    }
+)
+"""What a frame of each pattern without a point is good for."""
+
+
+def only_show(image: LinearImage, pattern: str, exposure: Exposure | None) -> AlignSample:
+    """A frame of a pattern that holds no point, or of two (empty ``pattern``): shown and metered, not measured."""
     height, width = image.shape
     return AlignSample(
-        width, height, _picture(image.luminance), note=f"the panel shows {pattern}; press Dot to measure"
-    )
+        width, height, _picture(image.luminance, from_zero=pattern != "black"),
+        peak=float(image.planes.max()) if pattern else None,
+        saturated_px=int(image.saturated.sum()) if pattern else 0, task=TASKS[pattern],
+        exposure_s=exposure.time_s if exposure else None, iso=exposure.iso if exposure else None,
+    )  # fmt: skip
 
 
 def _advice(reason: str) -> str:
@@ -127,10 +143,14 @@ def _around(corner: tuple[int, int], shape: tuple[int, ...], frame: tuple[int, i
     return top, bottom, left, min(frame[1], corner[1] + shape[1] + _CROP_MARGIN_PX)
 
 
-def _picture(luminance: NDArray[np.float32], longest: int = 900) -> bytes:
-    """PNG for the page, stretched to what the picture holds and brightened as displays expect."""
-    low, high = np.percentile(luminance[:: max(1, luminance.shape[0] // 500)], (1.0, 100.0))
-    shown = np.clip((luminance - low) / max(float(high - low), 1e-6), 0.0, 1.0) ** (1 / _GAMMA)
+def _picture(luminance: NDArray[np.float32], longest: int = 900, *, from_zero: bool = False) -> bytes:
+    """PNG for the page, stretched to what the picture holds and brightened as displays expect.
+
+    ``from_zero`` leaves black where it is: of an even surface nothing but noise would be stretched.
+    """
+    low, high = map(float, np.percentile(luminance[:: max(1, luminance.shape[0] // 500)], (1.0, 100.0)))
+    low = 0.0 if from_zero else low
+    shown = np.clip((luminance - low) / max(high - low, 1e-6), 0.0, 1.0) ** (1 / _GAMMA)
     scale = longest / max(shown.shape)
     if scale < 1:
         shown = cv2.resize(shown, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)

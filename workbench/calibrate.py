@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import defaultdict
 from dataclasses import dataclass
 from pathlib import Path
+from statistics import fmean
 from typing import Any
 
 from calibration.bank import Bank
@@ -79,13 +80,17 @@ def calibrate_session(
     """Make a bank from a finished session of the rig; the fitted stage zero is applied to the depths."""
     points: dict[float, list[Path]] = defaultdict(list)
     offs: dict[float, list[Path]] = defaultdict(list)
+    stood_mm: dict[float, list[float]] = defaultdict(list)
     for shot in plan.shots():
         record = state.shots[shot.id]
         (points if shot.kind == "point" else offs)[shot.depth_mm].append(session_dir / record["file"])
+        if shot.kind == "point":
+            stood_mm[shot.depth_mm].append(record["position_mm"])
+    axis = config.stage.depth.axis
     frames = [
-        PointFrame(
-            depth_mm, tuple(points[depth_mm]), dot_mm=dot.size_px * config.panel.pixel_pitch_mm,
-            offs=tuple(offs[depth_mm]),
+        PointFrame(  # where the stage confirmed that it stood: a panel moved by hand is rarely where it was asked to be
+            round(axis.depth_mm(fmean(stood_mm[depth_mm])), 3), tuple(points[depth_mm]),
+            dot_mm=dot.size_px * config.panel.pixel_pitch_mm, offs=tuple(offs[depth_mm]),
         )
         for depth_mm, dot in zip(plan.depths_mm, plan.dots, strict=True)
     ]  # fmt: skip

@@ -10,6 +10,7 @@ from typing import Annotated, Any, Literal
 import yaml
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 
+from rigs.rig import DepthAxis
 from workbench.errors import InputError
 from workbench.units import duration_s, length_mm, pixel_pitch_mm, speed_mm_s
 
@@ -134,6 +135,11 @@ class DepthConfig(Section):
     offset_mm: Length = Field(0.0, alias="offset")
     sign: Literal[-1, 1] = 1
     scale: float = Field(1.0, gt=0)
+
+    @property
+    def axis(self) -> DepthAxis:
+        """The map between positions and depths."""
+        return DepthAxis(self.offset_mm, self.sign, self.scale)
 
 
 class StageConfig(Section):

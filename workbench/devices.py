@@ -4,17 +4,16 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 
 from rigs.browser_panel import BrowserPanel, BrowserPanelSettings
-from rigs.errors import RigError
 from rigs.gphoto2_camera import Gphoto2Camera
-from rigs.gphoto2_config import Gphoto2Settings
+from rigs.gphoto2_config import CameraEvent, Gphoto2Settings
 from rigs.grbl_stage import GrblSettings, GrblStage
 from rigs.manual_stage import ManualSettings, ManualStage
 from rigs.protocols import Camera, Panel, Stage
-from rigs.rig import DepthAxis, Rig
+from rigs.rig import Rig, close_quietly
 from rigs.simulated.devices import SimulatedCamera, SimulatedPanel, SimulatedStage
 from rigs.simulated.followers import FollowedPanel, FollowedStage
 from rigs.simulated.panel_view import PanelSurface
@@ -24,8 +23,9 @@ from rigs.simulated.world import SimulatedRigSettings, SimulatedWorld
 from rigs.zaber_stage import ZaberSettings, ZaberStage
 from workbench.config import CameraConfig, PanelConfig, RigConfig, StageConfig
 from workbench.device_news import DeviceNews
+from workbench.errors import InputError
 from workbench.frame_reader import FrameReader
-from workbench.units import cm
+from workbench.units import cm, length_mm
 
 Tell = Callable[[str], None]
 
@@ -121,7 +121,9 @@ def simulated_scene_truth(config: RigConfig) -> SceneTruth:
 
 
 @contextmanager
-def open_camera_and_panel(config: RigConfig, *, tell: Tell, frames: FrameReader) -> Iterator[tuple[Camera, Panel]]:
+def open_camera_and_panel(
+    config: RigConfig, *, tell: Tell, frames: FrameReader, news: DeviceNews
+) -> Iterator[tuple[Camera, Panel]]:
     """Open what is needed to look at the panel where it stands; both are closed in the end.
 
     Raises
@@ -129,18 +131,13 @@ def open_camera_and_panel(config: RigConfig, *, tell: Tell, frames: FrameReader)
     RigError
         A device is missing, busy or wrong.
     """
-    opening = Opening(config, tell, frames)
+    opening = Opening(config, tell, frames, news)
     with ExitStack() as opened:
         camera = open_camera(opening)
-        opened.callback(_closed, camera)
+        opened.callback(close_quietly, camera)
         panel = open_panel(opening)
-        opened.callback(_closed, panel)
+        opened.callback(close_quietly, panel)
         yield camera, panel
-
-
-def _closed(device: Camera | Stage | Panel) -> None:
-    with suppress(RigError):
-        device.close()
 
 
 def open_rig(
@@ -168,10 +165,9 @@ def open_rig(
         panel = open_panel(opening)
     except BaseException:
         for device in reversed(opened):
-            _closed(device)
+            close_quietly(device)
         raise
-    depth = config.stage.depth
-    return Rig(camera, stage, panel, DepthAxis(depth.offset_mm, depth.sign, depth.scale))
+    return Rig(camera, stage, panel, config.stage.depth.axis)
 
 
 def open_camera(opening: Opening) -> Camera:
@@ -221,10 +217,16 @@ def open_stage(opening: Opening) -> Stage:
 
 
 def _manual_stage(config: StageConfig) -> ManualStage:
-    axis = DepthAxis(config.depth.offset_mm, config.depth.sign, config.depth.scale)
+    axis = config.depth.axis
     limits = config.limits_mm or MANUAL_LIMITS_MM
-    settings = ManualSettings(limits, lambda position: cm(axis.depth_mm(position)))
-    return ManualStage(settings, _ask_operator)
+
+    def read(text: str) -> float:
+        try:
+            return axis.position_mm(length_mm(text, default_unit="cm"))
+        except InputError as error:
+            raise ValueError(str(error)) from None
+
+    return ManualStage(ManualSettings(limits, lambda position: cm(axis.depth_mm(position)), read), _ask_operator)
 
 
 def grbl_settings(config: StageConfig) -> GrblSettings:
@@ -257,6 +259,7 @@ def _ask_operator(question: str) -> str:
     print(question, end="", file=sys.stderr, flush=True)
     answer = sys.stdin.readline()
     if not answer:
+        print(file=sys.stderr)  # what is said next begins a line of its own
         raise EOFError
     return answer.rstrip("\n")
 
@@ -277,7 +280,8 @@ def open_panel(opening: Opening) -> Panel:
     config = opening.config.panel
     if config.kind == "simulated":
         return SimulatedPanel(opening.world)
-    panel = BrowserPanel(browser_panel_settings(config))
+    news = opening.news or DeviceNews(opening.tell)
+    panel = BrowserPanel(browser_panel_settings(config), on_notice=lambda text: news(CameraEvent(text)))
     opening.tell(panel.invitation())
     try:
         panel.wait_ready(_PAGE_PATIENCE_S)

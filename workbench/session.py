@@ -8,8 +8,8 @@
                    interrupted / failed
 
 At each depth: move and confirm, meter (once per depth, unless the journal has it), then every shot: pattern painted
-and acknowledged, exposure, frame checked, record appended. A shot counts when its record is on disk. Whatever ends a
-session early, the stage is stopped first.
+and acknowledged, exposure, pattern still shown, frame checked, record appended. A shot counts when its record is on
+disk. Whatever ends a session early, the stage is stopped first.
 """
 
 from __future__ import annotations
@@ -69,15 +69,22 @@ def load_plan(directory: Path) -> Plan:
         raise InputError(f"{path}: damaged plan; start a new session with `workbench calibrate`") from None
 
 
+_STOPPING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+"""Ctrl-C, `kill`, and a terminal that is closed or a connection to it that breaks."""
+
+
 class StopRequest:
-    """Ctrl-C that can't get lost: one that a library swallows in a callback still counts at the next shot."""
+    """Ctrl-C that can't get lost: one that a library swallows in a callback still counts at the next shot.
+
+    What else asks a program to end (SIGTERM, SIGHUP) counts as Ctrl-C, too: the stage has to stop first.
+    """
 
     def __init__(self) -> None:
         self._asked = False
 
     @contextmanager
     def heard(self) -> Iterator[None]:
-        """Listen to SIGINT; does nothing outside the main thread, which alone may."""
+        """Listen to what asks us to stop; does nothing outside the main thread, which alone may."""
         if threading.current_thread() is not threading.main_thread():
             yield
             return
@@ -86,12 +93,15 @@ class StopRequest:
             self._asked = True
             raise KeyboardInterrupt
 
-        before = signal.signal(signal.SIGINT, ask)
+        # `nohup` has SIGHUP ignored, and that has to stay so; a shell's background job has SIGINT ignored.
+        heard = [n for n in _STOPPING if n == signal.SIGINT or signal.getsignal(n) != signal.SIG_IGN]
+        before = {number: signal.signal(number, ask) for number in heard}
         try:
             yield
             self.check()
         finally:
-            signal.signal(signal.SIGINT, before)
+            for number, handler in before.items():
+                signal.signal(number, handler)
 
     def withdraw(self) -> None:
         """It was heard, and what it should end has ended."""
@@ -244,6 +254,7 @@ class SessionRunner:
                 self._rig.panel.show(pattern.pattern())
                 result = self._rig.camera.capture(exposure, path)
                 path = result.path
+                self._rig.panel.check_shown()
                 if sha256_file(result.path) != result.sha256:
                     raise CaptureError(f"{result.path}: differs from what the camera delivered; check the disk")
                 return result, self._check(result.path)

@@ -10,7 +10,7 @@
 
   let socket = null, wait = 250, silence = 0;
   let latest = null, picture = null, history = [], shownAt = 0;
-  let actions = [], active = "";
+  let actions = [], active = "", news = "";
 
   // ---- connection ------------------------------------------------------------------------------------------------
 
@@ -62,6 +62,10 @@
       active = message.active;
       showActions();
     }
+    if (message.news !== undefined && message.news !== news) {
+      news = message.news;
+      byId("trouble").textContent = capital(news);
+    }
     showAge();
   }
 
@@ -74,7 +78,7 @@
 
   // ---- numbers ---------------------------------------------------------------------------------------------------
 
-  const MARKS = { good: "✓", warn: "!", bad: "✕" };
+  const MARKS = { good: "✓", info: "○", warn: "!", bad: "✕" };
   const capital = (text) => text.charAt(0).toUpperCase() + text.slice(1);
   const number = (value, digits) => value === null || value === undefined ? "–" : value.toFixed(digits);
   const pixels = (value) => value === null ? "–" : value < 100 ? value.toFixed(1) : value.toFixed(0);
@@ -91,13 +95,20 @@
     element.querySelector(".detail").textContent = detail || "\u00a0";
   }
 
+  function verdict(state, mark, headline, others) {
+    byId("verdict").className = state;
+    byId("mark").textContent = mark;
+    byId("headline").textContent = headline;
+    byId("headline").classList.toggle("long", headline.length > 44);
+    byId("others").textContent = others;
+  }
+
   function showSample() {
     const { sample, findings, narrowest_px: narrowest, tolerance } = latest;
     const worst = findings[0];
-    byId("verdict").className = worst.level;
-    byId("mark").textContent = MARKS[worst.level];
-    byId("headline").textContent = capital(worst.text);
-    byId("others").textContent = findings.slice(1).map((finding) => capital(finding.text)).join("  ·  ");
+    const others = findings.slice(1).map((finding) => capital(finding.text));
+    if (sample.task) others.push("Press Dot to measure");
+    verdict(worst.level, MARKS[worst.level], capital(worst.text), others.join("  ·  "));
     const side = (value, low, high) => Math.floor(Math.abs(value) + 0.5) + " " + (value < 0 ? low : high);
     const offset = sample.offset_px;
     const onPanel = sample.offset_mm ? " · panel " + pixels(Math.hypot(...sample.offset_mm)) + " mm" : "";
@@ -109,7 +120,7 @@
     spark("peak", history.map((point) => point.peak), tolerance.peak[1], 1);
     spark("width", history.map((point) => point.width_px), narrowest);
     spark("saturated", history.map((point) => point.saturated_px), null);
-    byId("caption").textContent = !sample.frame_width_px ? "No frame · " + sample.note : (sample.centroid_px ? "Point at " + sample.centroid_px.map((v) => v.toFixed(1)).join(", ") + " in a frame of " : "Frame of ") +
+    byId("caption").textContent = sample.failed || !sample.frame_width_px ? "No frame · " + sample.note : (sample.centroid_px ? "Point at " + sample.centroid_px.map((v) => v.toFixed(1)).join(", ") + " in a frame of " : "Frame of ") +
       sample.frame_width_px + " × " + sample.frame_height_px + " px" + (sample.note ? " · " + sample.note : "");
     showPictureAgain();
   }
@@ -124,12 +135,15 @@
 
   function showAge() {
     const age = performance.now() - shownAt;
-    const stale = !socket || (latest !== null && age > STALE_MS);
+    // A camera doubles a long exposure for its dark frame.
+    const patience = STALE_MS + (latest ? 2000 * (latest.sample.exposure_s || 0) : 0);
+    const stale = !socket || (latest !== null && age > patience);
     const live = byId("live");
     live.className = socket && latest && !stale ? "on" : stale ? "stale" : "";
     byId("liveText").textContent = !socket ? "no connection to the workbench" : !latest ? "connected"
       : stale ? "no new frame for " + Math.round(age / 1000) + " s" : "live";
     document.body.classList.toggle("stale", stale && latest !== null);
+    if (!socket && latest) verdict("wait", "…", "No connection to the workbench", "Its terminal says why. What is below is old; this page comes back by itself.");
   }
 
   // ---- drawing ---------------------------------------------------------------------------------------------------
@@ -210,11 +224,15 @@
     pen.stroke();
     pen.globalAlpha = 1;
     if (!sample.centroid_px) return;
-    const cx = x(sample.centroid_px[0]), cy = y(sample.centroid_px[1]), arm = 9 * ratio;
+    // Open in the middle: in focus the point is smaller than any mark.
+    const cx = x(sample.centroid_px[0]), cy = y(sample.centroid_px[1]), gap = 7 * ratio, arm = gap + 9 * ratio;
     pen.strokeStyle = colour(level(["centre"]) || "text");
     pen.lineWidth = 2.5 * ratio;
     pen.beginPath();
-    pen.moveTo(cx - arm, cy); pen.lineTo(cx + arm, cy); pen.moveTo(cx, cy - arm); pen.lineTo(cx, cy + arm);
+    for (const side of [-1, 1]) {
+      pen.moveTo(cx + side * gap, cy); pen.lineTo(cx + side * arm, cy);
+      pen.moveTo(cx, cy + side * gap); pen.lineTo(cx, cy + side * arm);
+    }
     pen.stroke();
     if (Math.hypot(cx - tx, cy - ty) > radius + arm) {
       pen.lineWidth = 1.5 * ratio;

@@ -228,6 +228,9 @@ class SimulatedPanel:
         self._world.pattern = pattern
         return PanelAck(pattern, surface.width_px, surface.height_px, 1.0, True, 0.0)
 
+    def check_shown(self) -> None:
+        """Nothing to check: it never goes dark by itself."""
+
     def close(self) -> None:
         """Release the panel."""
         self._open = False

@@ -67,6 +67,10 @@ class FollowedPanel:
         self._world.pattern = pattern
         return acknowledged
 
+    def check_shown(self) -> None:
+        """The real panel's."""
+        self._panel.check_shown()
+
     def close(self) -> None:
         """Close the real panel."""
         self._panel.close()

@@ -153,6 +153,8 @@ def test_pattern_survives_a_change_of_size(make_panel, open_page, screenshot):
     while panel.status().page.width_px != 501 and time.monotonic() < deadline:
         time.sleep(0.02)
     assert panel.status().page.width_px == 501
+    with pytest.raises(NotAcknowledgedError, match="changed its size during the exposure"):
+        panel.check_shown()
 
 
 def test_page_comes_back_after_the_workbench_was_restarted(make_panel, open_page, screenshot):
@@ -225,9 +227,12 @@ def test_hidden_page_paints_nothing_and_nothing_is_counted(chromium_path, make_p
         with pytest.raises(NotAcknowledgedError, match="the page is hidden"):
             panel.show(Pattern("dot", x_px=9))
         assert not panel.status().page.visible
+        with pytest.raises(NotAcknowledgedError, match="to the end of the exposure: the page is hidden"):
+            panel.check_shown()
         assert httpx.get(f"http://127.0.0.1:{port}/json/activate/{ours}").is_success
         panel.wait_ready(5)
         panel.show(Pattern("dot", x_px=9))
+        panel.check_shown()
     finally:
         chromium.terminate()
         chromium.wait(10)

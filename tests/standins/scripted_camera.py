@@ -77,7 +77,7 @@ class ScriptedCamera:
 
     def _releases(self) -> int:
         calls = map(json.loads, self._calls.read_text().splitlines())
-        return sum(call["op"] == "trigger" or str(call.get("value", "")).startswith("Press Full") for call in calls)
+        return sum(call["op"] in ("trigger", "press") for call in calls)
 
     def answer(self, request: dict[str, Any]) -> dict[str, Any]:
         op, count = request["op"], self._count(request)
@@ -132,12 +132,12 @@ class ScriptedCamera:
         return dict(self._widgets[name])
 
     def do_set(self, name: str, value: Any) -> dict[str, Any]:
-        if name == "eosremoterelease":
-            if value.startswith("Press Full"):
-                self.do_trigger()
-        else:
-            self._widgets[name]["value"] = value
+        self._widgets[name]["value"] = value
         return dict(self._widgets[name])
+
+    def do_press(self, name: str, values: list[str]) -> None:
+        assert set(values) <= set(self._widgets[name]["choices"])
+        self.do_trigger()
 
     def do_trigger(self) -> None:
         number = self._releases()

@@ -90,7 +90,21 @@ def test_fixed_exposure_is_kept_and_its_fault_named(project: Path) -> None:
 def test_cross_hair_is_shown_and_not_measured(project: Path) -> None:
     result = done("-C", project, "align", "--show", "cross-hair", "--frames", "1", "--port", "0", "--json")
     assert result.only["centroid_px"] is None
-    assert "press Dot" in result.only["note"]
+    assert result.only["findings"] == [
+        {
+            "aspect": "pattern",
+            "level": "info",
+            "text": "cross-hair: turn the camera until the cross stands in the middle",
+        }
+    ]
+
+
+def test_white_panel_that_saturates_every_pixel_is_exposed_shorter(project: Path) -> None:
+    result = done("-C", project, "align", "--at", "60cm", "--show", "white", "--frames", "6", "--port", "0", "--json")
+    peaks = [line["peak"] for line in result.objects]
+    assert peaks[0] == 1.0
+    assert 0.4 < peaks[-1] < 0.86
+    assert result.objects[-1]["saturated_px"] == 0
 
 
 def test_live_view_is_measured_too(project: Path) -> None:

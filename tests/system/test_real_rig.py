@@ -174,6 +174,7 @@ def test_a_camera_that_stays_broken_ends_the_session_with_the_way_out_and_it_is_
     assert last.startswith(
         "workbench: camera: the frame that arrived can't be used: check cable, card and image format"
     )
+    assert last.endswith("; then `workbench resume` goes on")
     assert "Traceback" not in stopped.err
     assert records(project)[-1]["type"] == "failed"
     taken = len(records(project, "shot"))
@@ -193,6 +194,18 @@ def test_another_camera_than_the_one_named_is_refused_before_anything_moves(
     assert "no '650D'; found Nikon DSC D750 at usb:001,001; correct camera.model" in stopped.err
     assert not (project / "sessions").exists()
     assert rail.sent == b""
+
+
+def test_a_camera_that_is_set_up_wrongly_is_told_before_anything_moves(
+    project: Path, room: DarkRoom, rail: PtyServer
+) -> None:
+    choose(project, "camera", CAMERA + "  aperture: 1.2\n")
+    choose(project, "stage", f"  kind: grbl\n  port: {rail.path}\n  depth: {{offset: {OFFSET_MM} mm}}\n")
+    stopped = call("-C", project, "calibrate", *DEPTHS)
+    assert stopped.code == 4
+    assert "no aperture f/1.2; set camera.aperture to one that it offers: f/2.8" in stopped.err
+    assert not (project / "sessions").exists()
+    assert b"$H" not in rail.sent
 
 
 def test_a_plan_for_a_real_camera_needs_no_camera(project: Path) -> None:

@@ -12,8 +12,9 @@ from pathlib import Path
 import pytest
 from command_line import FEW, arguments, call, done, listing, refused
 
+from rigs.errors import NotAcknowledgedError
 from rigs.protocols import CaptureResult, Exposure
-from rigs.simulated.devices import SimulatedCamera
+from rigs.simulated.devices import SimulatedCamera, SimulatedPanel
 
 SHOTS = 8
 
@@ -62,6 +63,19 @@ def test_an_interrupted_session_resumes_to_the_same_bank(
     assert not list((root / "sessions").rglob(".*"))
 
 
+def test_a_frame_during_which_the_panel_went_dark_is_taken_again(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    looks = iter(range(1, 1000))
+
+    def asleep_once(_: SimulatedPanel) -> None:
+        if next(looks) == 5:
+            raise NotAcknowledgedError("panel: not seen to the end of the exposure: the page is hidden")
+
+    monkeypatch.setattr(SimulatedPanel, "check_shown", asleep_once)
+    outcome = done("-C", root, "calibrate", *FEW, "--json")
+    assert "the page is hidden; trying again (1 of 2)" in outcome.err
+    assert '"type":"event"' in (root / "sessions" / "s0001" / "journal.jsonl").read_text()
+
+
 def _wait_for_shot(root: Path, process: subprocess.Popen[str], shots: int) -> None:
     journal = root / "sessions" / "s0001" / "journal.jsonl"
     for _ in range(2000):
@@ -72,7 +86,7 @@ def _wait_for_shot(root: Path, process: subprocess.Popen[str], shots: int) -> No
     raise AssertionError("the session takes too long")
 
 
-@pytest.mark.parametrize("kind", [signal.SIGINT, signal.SIGKILL])
+@pytest.mark.parametrize("kind", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGKILL])
 def test_a_process_that_is_stopped_resumes_to_the_same_bank(root: Path, wanted: str, kind: signal.Signals) -> None:
     process = subprocess.Popen(
         arguments("-C", root, "calibrate", *FEW, "--json"), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
@@ -85,8 +99,8 @@ def test_a_process_that_is_stopped_resumes_to_the_same_bank(root: Path, wanted: 
         process.kill()
         process.wait()
     assert out == ""
-    assert process.returncode == (130 if kind == signal.SIGINT else -signal.SIGKILL)
-    if kind == signal.SIGINT:
+    assert process.returncode == (-signal.SIGKILL if kind == signal.SIGKILL else 130)
+    if kind != signal.SIGKILL:
         assert err.splitlines()[-1].startswith("workbench: interrupted")
         assert "Traceback" not in err
     assert f"session s0001 1/{SHOTS}" in err

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -112,3 +113,41 @@ def test_calibration_on_zaber_counts_microsteps(tmp_path: Path, finished: Path) 
         done("-C", project, "calibrate", *FEW)
     assert chain.devices[0].position == pytest.approx((2300 - 500) / 0.0005, abs=1)
     assert lens_of(project)["zero_mm"] == pytest.approx(lens_of(finished)["zero_mm"], abs=1.0)
+
+
+def by_hand(project: Path) -> Path:
+    """A project whose panel is moved along a tape measure, which begins at the lens."""
+    done("init", project)
+    choose_stage(project, "  kind: manual\n  depth: {offset: 0 cm}\n")
+    return project
+
+
+FIVE = ("--from", "80cm", "--to", "280cm", "--step", "50cm", "--repeats", "1")
+
+
+def test_where_a_panel_moved_by_hand_really_stands_is_its_depth_in_the_bank(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    project = by_hand(tmp_path / "project")
+    answers = ["", "1284 mm", "soon", "9 m", "181.7", "", ""]
+    monkeypatch.setattr("sys.stdin", io.StringIO("".join(f"{answer}\n" for answer in answers)))
+    outcome = done("-C", project, "calibrate", *FIVE, "--json")
+    assert "Move the panel to 130.0 cm and press Enter" in outcome.err
+    assert "'soon' is no length; press Enter for 180.0 cm" in outcome.err
+    assert "9 m isn't within 0.0 cm to 300.0 cm" in outcome.err
+    zero_mm = outcome.only["lens"]["zero_mm"]
+    assert zero_mm == pytest.approx(7.0, abs=2 * outcome.only["lens"]["zero_se_mm"])
+    depths = [800.0, 1284.0, 1817.0, 2300.0, 2800.0]
+    assert outcome.only["depths_mm"] == pytest.approx([depth + zero_mm for depth in depths], abs=0.01)
+
+
+def test_a_stage_moved_by_hand_without_a_hand_says_so_and_can_be_resumed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    project = by_hand(tmp_path / "project")
+    monkeypatch.setattr("sys.stdin", io.StringIO("\n\n"))
+    stopped = call("-C", project, "calibrate", *FIVE)
+    assert stopped.code == 4
+    assert stopped.err.splitlines()[-1].startswith("workbench: stage: nobody answers here (end of input)")
+    monkeypatch.setattr("sys.stdin", io.StringIO("\n\n\n"))
+    done("-C", project, "resume")

@@ -16,6 +16,7 @@ from workbench.cli.doctor import DurationParam
 from workbench.units import exposure_text
 
 if TYPE_CHECKING:
+    from rigs.align_feed import AlignFeed
     from rigs.protocols import Camera, Panel
     from workbench.config import RigConfig
     from workbench.frame_reader import FrameReader
@@ -53,7 +54,7 @@ def align(
         opened.enter_context(project.lock_rig())
         scratch = Path(opened.enter_context(tempfile.TemporaryDirectory(prefix="workbench-align-")))
         opened.enter_context(stop.heard())
-        camera, panel = _open_devices(opened, context, config, reader, at_mm)
+        camera, panel = _open_devices(opened, context, config, reader, feed, at_mm)
         aligner = Aligner(
             camera, panel, dot, feed, reader.read, scratch,
             exposure_s=exposure_s, iso=config.camera.iso, live_view=live_view,
@@ -64,7 +65,7 @@ def align(
         settings = AlignSettings(config.panel.host, port, config.panel.token)
         server = AlignServer(settings, feed, aligner.actions(), active=pattern.capitalize())
         opened.callback(server.close)
-        context.note(f"open {server.urls()[0]} in a browser; Ctrl-C ends")
+        context.note(server.invitation())
         try:
             aligner.show(pattern)
             for seen in aligner.looks(count):
@@ -77,14 +78,20 @@ def align(
 
 
 def _open_devices(
-    opened: ExitStack, context: Context, config: RigConfig, reader: FrameReader, at_mm: float | None
+    opened: ExitStack, context: Context, config: RigConfig, reader: FrameReader, feed: AlignFeed, at_mm: float | None
 ) -> tuple[Camera, Panel]:
     """Camera and panel; the stage too, moved, where a depth is given, and left alone where not."""
+    from workbench.device_news import DeviceNews
     from workbench.devices import open_camera_and_panel, open_rig
 
+    def tell(text: str) -> None:
+        context.note(text)
+        feed.tell(text)  # the operator stands at the rig and looks at the page
+
+    news = DeviceNews(tell)
     if at_mm is None:
-        return opened.enter_context(open_camera_and_panel(config, tell=context.note, frames=reader))
-    rig = opened.enter_context(open_rig(config, tell=context.note, frames=reader))
+        return opened.enter_context(open_camera_and_panel(config, tell=context.note, frames=reader, news=news))
+    rig = opened.enter_context(open_rig(config, tell=context.note, frames=reader, news=news))
     rig.check_reach((at_mm,))
     if not rig.stage.homed():
         context.note("stage: finding its reference")

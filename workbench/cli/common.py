@@ -102,9 +102,12 @@ class Context:
             console.print(line.rstrip(), markup=False)
 
     @contextmanager
-    def progress(self, title: str) -> Iterator[Callable[[Step], None]]:
-        """An observer for long work: a bar on a terminal, plain lines elsewhere; always on stderr."""
-        if not sys.stderr.isatty():
+    def progress(self, title: str, *, asks: bool = False) -> Iterator[Callable[[Step], None]]:
+        """An observer for long work: a bar on a terminal, plain lines elsewhere; always on stderr.
+
+        ``asks``: the operator is asked questions meanwhile; a bar would draw over the answers.
+        """
+        if asks or not sys.stderr.isatty():
             yield lambda step: print(_plain(title, step), file=sys.stderr, flush=True)
             return
         columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from rigs.errors import LimitError
+from rigs.errors import LimitError, RigError
 from workbench.cli.common import LENGTH, Context, command_options
 from workbench.errors import InputError
 from workbench.field_grid import reach_text
@@ -166,13 +166,17 @@ def run_session(context: Context, project: Project, what: Plan | str) -> None:
             rig.check_reach(made.depths_mm)
         except LimitError as error:
             raise InputError(str(error)) from None
+        rig.camera.exposure_times_s()  # sets a real camera up: what is wrong with it is said before anything moves
         session = what if isinstance(what, str) else project.new_session_id()
         directory = project.sessions / session
         if not isinstance(what, str):
             create_session(directory, made)
-        with context.progress(f"session {session}") as observer:
+        with context.progress(f"session {session}", asks=config.stage.kind == "manual") as observer:
             runner = SessionRunner(directory, made, rig, observer=observer, check=frames.read, news=news)
-            state = runner.run()
+            try:
+                state = runner.run()
+            except RigError as error:
+                raise type(error)(f"{error}; then `workbench resume` goes on") from error.__cause__
     context.note("making the bank")
     result = calibrate_session(project, directory, made, state, config)
     _show_bank(context, project, result, session)

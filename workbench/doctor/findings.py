@@ -94,9 +94,8 @@ class Subject:
 def split_message(message: str) -> tuple[str, str]:
     """Split ``what: the way out`` or ``what; the way out``; separators in brackets and quotes don't count.
 
-    A bracket at the very end holds a detail of what was seen; advice to go on with a session isn't for here.
+    A bracket at the very end holds a detail of what was seen.
     """
-    message = message.removesuffix(", then `workbench resume`")
     if match := _DETAIL.fullmatch(message):
         seen, mend = split_message(match[1])
         return (f"{seen} ({match[2]})", mend) if mend else (message, "")

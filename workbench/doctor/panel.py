@@ -71,9 +71,10 @@ def _look(
         panel.wait_ready(wait_s)
     status = panel.status()
     if status.last_heard_s is None:
-        mend = "open the address printed above on the tablet; --panel-wait 2min gives time for it"
-        if is_loopback(config.host):
-            mend += "; a tablet needs panel.host: 0.0.0.0"
+        patience = "`workbench doctor --panel-wait 2min`"
+        mend = f"run {patience}, and open the address that it shows on the terminal"
+        if is_loopback(config.host) and not config.token:
+            mend = f"run {patience}, and open {panel.urls()[0]} on this computer; a tablet needs panel.host: 0.0.0.0"
         return [*found, PANEL.error("page", f"none connected within {wait_s:g} s", mend)], ()
     if status.problem:
         seen, _, mend = status.problem.partition(": ")

@@ -134,8 +134,36 @@ def test_autofocus_that_finds_nothing_in_the_dark_is_avoided_from_then_on(script
     for number in range(2):
         scripted.camera.capture(EXPOSURE, tmp_path / f"{number}.dng")
     assert len(scripted.calls("trigger")) == 1
-    pressed = [call["value"] for call in scripted.calls("set") if call["name"] == "eosremoterelease"]
-    assert pressed == ["Press Full MF", "Release Full"] * 2
+    pressed = [(call["name"], call["values"]) for call in scripted.calls("press")]
+    assert pressed == [("eosremoterelease", ["Press Full MF", "Release Full"])] * 2
+
+
+def test_a_release_without_autofocus_that_fails_is_told_as_one(script: Script, tmp_path: Path) -> None:
+    with pytest.raises(CaptureError, match="the shutter did not release"):
+        script(failing("press", -1), release="without-autofocus").camera.capture(EXPOSURE, tmp_path / "a.dng")
+
+
+def test_a_camera_that_leaves_in_the_middle_of_a_release_is_not_taken_for_one_that_cannot_focus(
+    script: Script, tmp_path: Path
+) -> None:
+    scripted = script(failing("trigger", -52, last=1))
+    scripted.camera.capture(EXPOSURE, tmp_path / "a.dng")
+    assert len(scripted.calls("trigger")) == 2
+    assert scripted.calls("press") == []
+
+
+def test_a_card_that_is_full_after_a_frame_has_cost_no_frame(script: Script, tmp_path: Path) -> None:
+    scripted = script(events("IMG_0001.CR2", other("PTP Event 400a")), release="trigger")
+    assert scripted.camera.capture(EXPOSURE, tmp_path / "a.dng").settings["file"].endswith("IMG_0001.CR2")
+
+
+def test_a_frozen_camera_that_is_switched_off_and_on_before_its_first_word_goes_on(
+    script: Script, reported: Recorder
+) -> None:
+    nobody = {"op": "list", "first": 3, "last": 3, "do": "answer", "ok": []}  # off, as it was asked for
+    scripted = script(failing("open", -10, last=2), nobody, return_timeout_s=0.0, power_cycle_timeout_s=5.0)
+    assert scripted.camera.identify().model == "Canon EOS 650D"
+    assert [event.remedy for event in reported.events] == [Remedy.RESTART, Remedy.POWER_CYCLE]
 
 
 @pytest.mark.parametrize("order", [("IMG_0001.JPG", "IMG_0001.CR2"), ("IMG_0001.CR2", "IMG_0001.JPG")])
@@ -212,6 +240,16 @@ def test_a_setting_that_reads_otherwise_than_it_was_set_stops_the_shot(script: S
     assert scripted.calls("trigger") == []
 
 
+def test_a_setting_that_is_reported_late_is_waited_for(script: Script, tmp_path: Path) -> None:
+    before = {"value": "1/15", "choices": ["1/15", "1/60"], "readonly": False}
+    scripted = script(
+        {"op": "set", "name": "shutterspeed", "do": "answer", "ok": before},
+        {"op": "get", "name": "shutterspeed", "do": "answer", "ok": before, "last": 2},
+    )
+    assert scripted.camera.capture(EXPOSURE, tmp_path / "a.dng").settings["exposure_time"] == "1/60"
+    assert len(scripted.calls("trigger")) == 1
+
+
 def test_raw_is_chosen_by_name_and_the_lens_and_drive_are_taken_care_of(
     script: Script, tmp_path: Path, reported: Recorder
 ) -> None:
@@ -242,3 +280,20 @@ def test_live_view_that_is_not_there_is_told_apart_from_trouble(script: Script) 
 def test_a_library_that_is_missing_is_said_so(script: Script) -> None:
     with pytest.raises(ConfigError, match="pip install gphoto2"):
         script(failing("list", 0))
+
+
+def test_a_second_interrupt_while_the_camera_is_closed_leaves_no_process_behind(
+    script: Script, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    camera = script().camera
+    process = camera._link.process
+    pid = process.pid
+    assert pid is not None
+
+    def interrupted(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(process, "call", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        camera.close()
+    assert not Path(f"/proc/{pid}").exists()

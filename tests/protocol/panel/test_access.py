@@ -132,7 +132,13 @@ def test_terminal_gets_address_and_code(make_panel):
     panel = make_panel(host="0.0.0.0", token=TOKEN)
     text = panel.invitation()
     assert panel.urls()[0] in text
+    assert "█" in text or "127.0.0.1" in text  # a machine without a network has nobody to invite
     lines = qr_text(panel.urls()[0]).splitlines()
     assert len({len(line) for line in lines}) == 1
     assert set("".join(lines)) <= set("█▀▄ ")
     assert "\x1b" not in text
+
+
+def test_address_that_no_other_device_can_reach_has_no_code(make_panel):
+    panel = make_panel()
+    assert panel.invitation() == f"panel: open {panel.urls()[0]} in a browser on this computer, then tap the page once"

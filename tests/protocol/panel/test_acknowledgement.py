@@ -6,6 +6,7 @@ import time
 
 import pytest
 
+from rigs.browser_panel import BrowserPanel, BrowserPanelSettings
 from rigs.errors import NotAcknowledgedError, PanelError
 from rigs.protocols import Panel, Pattern
 
@@ -134,6 +135,71 @@ def test_newest_page_takes_over_and_the_operator_can_see_it(make_panel, make_pag
     showing = background(lambda: panel.show(DOT))
     second.paint(second.next("show")["sequence"])
     showing.result()
+
+
+def test_page_of_another_size_than_before_is_pointed_out(background, make_page):
+    notices = []
+    panel = BrowserPanel(BrowserPanelSettings(port=0, settle_s=0, require_fullscreen=False), on_notice=notices.append)
+    try:
+        page = make_page(panel)
+        for width in (1280, 1280, 800):
+            showing = background(lambda: panel.show(DOT))
+            page.paint(page.next("show")["sequence"], width_px=width)
+            showing.result()
+        assert notices == [
+            "panel: its page is 800 x 800 px now, and was 1280 x 800 px: is it the same screen, not turned?"
+        ]
+    finally:
+        panel.close()
+
+
+def _painted(panel, page, background):
+    showing = background(lambda: panel.show(DOT))
+    page.paint(page.next("show")["sequence"])
+    showing.result()
+
+
+def _told(panel, page, **state):
+    page.report(**state)
+    wanted = {**page.state, **state}["width_px"], {**page.state, **state}["visible"]
+    deadline = time.monotonic() + 5
+    while (panel.status().page.width_px, panel.status().page.visible) != wanted and time.monotonic() < deadline:
+        time.sleep(0.01)
+
+
+@pytest.mark.parametrize(
+    ("meanwhile", "says"),
+    [
+        ({"visible": False}, "not seen to the end of the exposure: the page is hidden"),
+        ({"width_px": 800}, "changed its size during the exposure: lock the tablet's rotation"),
+    ],
+)
+def test_pattern_that_went_during_the_exposure_is_noticed_after_it(make_panel, make_page, background, meanwhile, says):
+    panel = make_panel()
+    page = make_page(panel)
+    _painted(panel, page, background)
+    panel.check_shown()
+    _told(panel, page, **meanwhile)
+    with pytest.raises(NotAcknowledgedError, match=says):
+        panel.check_shown()
+
+
+def test_page_lost_or_replaced_during_the_exposure_is_noticed_after_it(make_panel, make_page, background):
+    panel = make_panel()
+    first = make_page(panel)
+    _painted(panel, first, background)
+    second = make_page(panel)
+    second.next("hello")  # it is in control now
+    second.report()
+    panel.wait_ready(2)
+    with pytest.raises(NotAcknowledgedError, match=r"took over .* leave one page open"):
+        panel.check_shown()
+    second.close()
+    deadline = time.monotonic() + 5
+    while panel.status().connected and time.monotonic() < deadline:
+        time.sleep(0.01)
+    with pytest.raises(NotAcknowledgedError, match=r"to the end of the exposure: the connection .* is lost"):
+        panel.check_shown()
 
 
 def test_silent_page_is_given_up(make_panel, make_page):

@@ -14,7 +14,7 @@ from websockets.sync.client import ClientConnection, connect
 
 from rigs.align_feed import AlignFeed, AlignSample, AlignTolerance, judge
 from rigs.align_server import AlignServer, AlignSettings
-from rigs.errors import PanelError
+from rigs.errors import ConfigError, DeviceBusyError, PanelError
 
 
 def sample(**changes) -> AlignSample:
@@ -31,16 +31,24 @@ def sample(**changes) -> AlignSample:
 @pytest.mark.parametrize(
     ("changes", "level", "text"),
     [
-        ({}, "good", "centred within 12 px"),
+        ({}, "good", "centred within 20 px"),
         ({"centroid_px": (470.0, 440.4)}, "warn", "off centre: 30 px left and 40 px down"),
         ({"centroid_px": (900.0, 400.0)}, "bad", "off centre: 400 px right"),
         ({"saturated_px": 214, "peak": 1.0}, "bad", "saturated: shorten the exposure (214 px at white)"),
         ({"peak": 0.95}, "warn", "nearly saturated: shorten the exposure (95 % of white)"),
         ({"peak": 0.1}, "warn", "dim: lengthen the exposure (10 % of white)"),
+        (
+            {"peak": 0.1, "longest": True},
+            "warn",
+            "dim at the longest exposure: brighten the panel, enlarge the dot, or raise the ISO (10 % of white)",
+        ),
         ({"width_px": 6.0}, "warn", "wider: 1.50 times the narrowest, 4.0 px"),
+        ({"task": "cross-hair: turn the camera", "centroid_px": None}, "info", "cross-hair: turn the camera"),
+        ({"task": "white: in view?", "saturated_px": 9}, "bad", "saturated: shorten the exposure (9 px at white)"),
+        ({"failed": True, "note": "camera: no image arrived"}, "bad", "no frame: camera: no image arrived"),
         ({"centroid_px": None}, "bad", "no point: is the dot on, and the panel in view?"),
         ({"centroid_px": None, "note": "two points found"}, "bad", "no point: two points found"),
-        ({"target_px": (600.0, 396.0)}, "bad", "off centre: 97 px left"),
+        ({"target_px": (600.0, 396.0)}, "warn", "off centre: 97 px left"),
     ],
 )
 def test_most_urgent_finding_comes_first_and_says_what_to_do(changes, level, text):
@@ -135,6 +143,20 @@ def test_align_page_on_the_network_needs_its_token():
         assert httpx.get(bare).status_code == 403
         with pytest.raises(InvalidStatus), connect(bare.replace("http", "ws") + "/socket"):
             pass
-        assert "█" in server.qr()
+        invitation = server.invitation()
+        assert "█" in invitation or "127.0.0.1" in server.urls()[0]  # a machine without a network has nobody to invite
+        assert f"align: open {server.urls()[0]}" in invitation
     finally:
         server.close()
+
+
+def test_taken_port_and_a_foreign_address_name_what_can_be_changed():
+    first = AlignServer(AlignSettings(port=0), AlignFeed())
+    try:
+        port = int(first.urls()[0].split(":")[2].split("/")[0])
+        with pytest.raises(DeviceBusyError, match=rf"align: 127.0.0.1:{port} is taken .* end it or set --port"):
+            AlignServer(AlignSettings(port=port), AlignFeed())
+    finally:
+        first.close()
+    with pytest.raises(ConfigError, match=r"panel\.host: can't listen on 192\.0\.2\.77"):
+        AlignServer(AlignSettings(host="192.0.2.77", port=0), AlignFeed())

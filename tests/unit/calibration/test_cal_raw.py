@@ -126,6 +126,11 @@ def test_unusable_files_are_named_in_one_line(tmp_path: Path, make: object, expe
     assert "\n" not in str(caught.value)
 
 
+def test_a_frame_that_is_saturated_everywhere_is_a_frame(tmp_path: Path) -> None:
+    image = develop(write_dng(tmp_path / "x.dng", np.full((64, 64), 16383, np.uint16)))
+    assert image.saturated.all()
+
+
 def test_a_truncated_raw_is_refused(tmp_path: Path) -> None:
     path = write_dng(tmp_path / "x.dng", _mosaic((256, 256)))
     path.write_bytes(path.read_bytes()[:40_000])

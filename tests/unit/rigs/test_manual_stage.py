@@ -45,16 +45,20 @@ def test_a_position_out_of_range_is_refused_asked_for_or_answered() -> None:
     stage = ManualStage(ManualSettings((0, 3000)), _answers("9999"))
     with pytest.raises(LimitError, match=r"stage\.limits"):
         stage.move_to_mm(4000.0)
-    with pytest.raises(LimitError):
+    with pytest.raises(StageError):  # asked again, and nobody is left to answer
         stage.move_to_mm(700.0)
     with pytest.raises(NotHomedError):
         stage.position_mm()
 
 
+def test_an_answer_out_of_range_is_asked_for_again() -> None:
+    assert ManualStage(ManualSettings((0, 3000)), _answers("9999", "701")).move_to_mm(700.0) == 701.0
+
+
 def test_without_anybody_to_answer_it_says_so() -> None:
     with pytest.raises(StageError, match="terminal"):
         ManualStage(ManualSettings((0, 3000)), _answers()).move_to_mm(1.0)
-    with pytest.raises(StageError, match="resume"):
+    with pytest.raises(StageError, match="no usable answer"):
         ManualStage(ManualSettings((0, 3000)), _answers("a", "b", "c")).move_to_mm(1.0)
 
 

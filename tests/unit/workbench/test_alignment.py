@@ -58,9 +58,9 @@ def test_dark_frame_has_no_point_and_says_so() -> None:
 
 
 def test_other_patterns_are_shown_and_not_measured() -> None:
-    sample = only_show(frame(disc(100.0, 80.0, 6.0)), "cross-hair")
+    sample = only_show(frame(disc(100.0, 80.0, 6.0)), "cross-hair", None)
     assert sample.centroid_px is None
-    assert "cross-hair" in sample.note
+    assert sample.task.startswith("cross-hair: turn the camera")
     assert sample.image
 
 

@@ -22,7 +22,6 @@ STAGE, CAMERA = Subject("stage"), Subject("camera")
          "check the cable"),
         ("another program holds it: close it (open: -53 Could not claim)",
          "another program holds it (open: -53 Could not claim)", "close it"),
-        ("battery empty: charge it, then `workbench resume`", "battery empty", "charge it"),
         ("nothing but words", "nothing but words", ""),
         ("nothing but words (and a bracket)", "nothing but words (and a bracket)", ""),
     ],
