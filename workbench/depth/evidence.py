@@ -38,7 +38,15 @@ from workbench.depth.evidence_spectrum import (
     smeared_power,
 )
 from workbench.depth.evidence_uniform import mixture_gain, parts_loss
-from workbench.depth.evidence_windows import Pooled, Window, clear_share, place_windows, pooled_periodogram, soft_mask
+from workbench.depth.evidence_windows import (
+    Pooled,
+    Window,
+    clear_share,
+    covered_pixels,
+    place_windows,
+    pooled_periodogram,
+    soft_mask,
+)
 
 __all__ = [
     "DepthModel",
@@ -114,6 +122,8 @@ class Observation:
     fit: SpectralFit
     pixels: float
     """Pixels' worth of information: sum of the squared tapers' weights."""
+    covered: int
+    """Pixels that lie in a window."""
     low_share: float
     """Share of the lowest frequencies that stand above the noise."""
     line_share: float
@@ -149,6 +159,7 @@ def observe(plane: NDArray[np.float32], mask: Mask, model: DepthModel, options: 
         clear,
         fit,
         max(pixels, size * size * windows[0].weight),
+        covered_pixels(mask, windows),
         _low_share(pooled.power, fit),
         _line_share(pooled.power, expected, fit),
         mixture_gain(pooled, expected, float(fit.log_likelihood.max()), model, options),
@@ -287,7 +298,7 @@ def _conclude(
         "mode_radius_px": model.row_radius_px[modes],
         "mode_sparseness_far_near": np.stack([far, near]),
     }
-    estimate = summarise(sigma, log_post, int(seen.pixels), seen.line_share, model, learned, options, diagnostics)
+    estimate = summarise(sigma, log_post, seen.covered, seen.line_share, model, learned, options, diagnostics)
     if seen.varied > options.varied_log_likelihood or seen.parted > options.parts_log_likelihood:
         return doubted(estimate, "its blur is not the same all over: a slanted surface, or several depths")
     estimate = unless_another_blur_fits(estimate, likelihood, modes, (far, near), model, options)

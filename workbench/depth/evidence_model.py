@@ -12,6 +12,7 @@ from calibration.bank import Bank
 from calibration.pupil import PsfModel, PupilModel, psf_model
 from workbench.depth.evidence_side import FAMILIES
 from workbench.depth.evidence_spectrum import TextureFactor
+from workbench.depth.options import require
 
 FloatArray = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -79,6 +80,26 @@ class EvidenceOptions:
     factor_spread: float = 0.5
     factor_wide_share: float = 0.1
     factor_wide_spread: float = 2.5
+
+    def __post_init__(self) -> None:
+        require(
+            self,
+            smallest_window_px=16 <= self.smallest_window_px <= 1024,
+            window_px=self.smallest_window_px <= self.window_px <= 1024,
+            least_weight=0 < self.least_weight <= 1,
+            margin=0 <= self.margin < 0.5,
+            margin_px=self.margin_px >= 0,
+            radius_step_px=0.05 <= self.radius_step_px <= 4,
+            side_windows=self.side_windows >= 1,
+            ambiguous_below=0 <= self.ambiguous_below <= 1,
+            close_ratio=self.close_ratio >= 1,
+            varied_px=self.varied_px > 0,
+            colour_gain=self.colour_gain > 0,
+            max_saturated=0 <= self.max_saturated <= 1,
+            factor_spread=0 < self.factor_spread <= 5,
+            factor_wide_share=0 <= self.factor_wide_share < 1,
+            factor_wide_spread=0 < self.factor_wide_spread <= 10,
+        )
 
     @property
     def factor(self) -> TextureFactor:

@@ -148,6 +148,18 @@ def clear_share(clear: NDArray[np.float32], windows: Sequence[Window], reach_px:
     return inside / total
 
 
+def covered_pixels(mask: Mask, windows: Sequence[Window]) -> int:
+    """How many of a region's pixels lie in at least one window and count there."""
+    covered = np.zeros(mask.shape, np.bool_)
+    for window in windows:
+        size = window.taper.shape[0]
+        top, left = max(window.row, 0), max(window.column, 0)
+        part = covered[top : window.row + size, left : window.column + size]
+        inside = window.taper[top - window.row :, left - window.column :] > 0
+        part |= inside[: part.shape[0], : part.shape[1]]
+    return int((covered & mask).sum())
+
+
 def _holes(cut: NDArray[np.float32]) -> bool:
     return bool((cut[2:-2, 2:-2] <= 0).any())
 

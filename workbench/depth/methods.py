@@ -161,9 +161,7 @@ def estimate_depths(
             mask = labels == label
             here = bank_at(bank, region_place(mask))
             estimates |= found.estimate(image, here, np.where(mask, labels, 0).astype(np.int32), options)
-    # windows overlap: what an estimator counts may be more than the region has to give
-    usable = np.bincount(labels[(labels > 0) & ~image.saturated], minlength=1 + max(estimates, default=0))
-    return {label: dataclasses.replace(e, pixels=min(e.pixels, int(usable[label]))) for label, e in estimates.items()}
+    return estimates
 
 
 def option_values(method: str, settings: Mapping[str, Any]) -> dict[str, Any]:

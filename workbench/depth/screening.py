@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from calibration.bank import Bank
 from calibration.image import LinearImage
 from workbench.depth.estimate import DepthEstimate, Status
+from workbench.depth.options import require
 from workbench.depth.regions import bounding_box, edge_distance
 from workbench.depth.sharpness import _contrast, _noise_level
 
@@ -55,19 +56,6 @@ class ScreeningOptions:
             min_contrast=self.min_contrast >= 0,
             max_saturated=0 <= self.max_saturated <= 1,
         )
-
-
-def require(options: object, **good: bool) -> None:
-    """Refuse options out of range.
-
-    Raises
-    ------
-    ValueError
-        Names the first option that isn't good, and its value.
-    """
-    for name, right in good.items():
-        if not right:
-            raise ValueError(f"{name} = {getattr(options, name)}: out of range")
 
 
 @dataclass(frozen=True, slots=True)

@@ -30,6 +30,7 @@ from calibration.errors import MismatchError
 from calibration.image import LinearImage
 from calibration.optics import mirror_depth
 from workbench.depth.estimate import DepthEstimate, Status
+from workbench.depth.options import require
 from workbench.depth.regions import bounding_box, edge_distance
 from workbench.depth.richardson_lucy import Deconvolver, FloatImage, KernelBank
 
@@ -100,24 +101,23 @@ class SharpnessOptions:
     def __post_init__(self) -> None:
         if self.lambda_reading not in get_args(LambdaReading):
             raise ValueError(f"lambda_reading = {self.lambda_reading}: one of {', '.join(get_args(LambdaReading))}")
-        for name, good in {
-            "iterations": self.iterations >= 1,
-            "window": self.window >= 0,
-            "sections": self.sections >= 2,
-            "increment_ratio": self.increment_ratio > 0,
-            "fallback_cdf": 0 <= self.fallback_cdf < 1,
-            "margin_px": self.margin_px is None or self.margin_px >= 0,
-            "keep_fraction": 0 < self.keep_fraction <= 1,
-            "min_pixels": self.min_pixels >= 1,
-            "interval_drop": 0 <= self.interval_drop < 1,
-            "ambiguity": 0 < self.ambiguity < 1,
-            "min_contrast": self.min_contrast >= 0,
-            "max_saturated": 0 <= self.max_saturated <= 1,
-            "diagnostics_side": self.diagnostics_side >= 1,
-            "workers": self.workers >= 1,
-        }.items():
-            if not good:
-                raise ValueError(f"{name} = {getattr(self, name)}: out of range")
+        require(
+            self,
+            iterations=self.iterations >= 1,
+            window=self.window >= 0,
+            sections=self.sections >= 2,
+            increment_ratio=self.increment_ratio > 0,
+            fallback_cdf=0 <= self.fallback_cdf < 1,
+            margin_px=self.margin_px is None or self.margin_px >= 0,
+            keep_fraction=0 < self.keep_fraction <= 1,
+            min_pixels=self.min_pixels >= 1,
+            interval_drop=0 <= self.interval_drop < 1,
+            ambiguity=0 < self.ambiguity < 1,
+            min_contrast=self.min_contrast >= 0,
+            max_saturated=0 <= self.max_saturated <= 1,
+            diagnostics_side=self.diagnostics_side >= 1,
+            workers=self.workers >= 1,
+        )
 
 
 @dataclass(frozen=True, slots=True)

@@ -184,3 +184,25 @@ def test_near_object_whose_mirror_is_beyond_reach_keeps_its_depth(bank: Bank, se
     found = estimate_evidence(image, bank, whole(image.shape))[1]
     assert found.status == "ok"
     assert abs(found.depth_mm - 780.0) < 15.0
+
+
+@pytest.mark.parametrize("turn", [0.0, 35.0])
+def test_texture_of_one_direction_does_not_pass_for_a_large_blur(bank: Bank, turn: float) -> None:
+    """Wood grain and planks: all power lies within a few frequencies of one line."""
+    generator = np.random.default_rng(31)
+    side = SIDE + 64 + 100
+    y, x = np.mgrid[:side, :side] - side / 2
+    along = x * np.sin(np.deg2rad(turn)) + y * np.cos(np.deg2rad(turn)) + side
+    lines = np.repeat(generator.uniform(0.2, 0.7, side), 9)[np.clip(along.astype(int), 0, None)]
+    image = photograph(lines, 1250.0)
+    found = estimate_evidence(image, bank, whole(image.shape))[1]
+    assert found.interval_mm[0] <= 1250.0 <= found.interval_mm[1]
+    assert abs(found.depth_mm - 1250.0) < 60.0 or found.status == "ambiguous"
+
+
+@pytest.mark.parametrize(
+    "setting", [{"window_px": 0}, {"smallest_window_px": -3}, {"radius_step_px": 0.0}, {"margin": 2.0}]
+)
+def test_constants_out_of_range_are_refused_by_name(setting: dict[str, float]) -> None:
+    with pytest.raises(ValueError, match=next(iter(setting))):
+        EvidenceOptions(**setting)  # type: ignore[arg-type]

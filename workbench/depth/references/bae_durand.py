@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from calibration.bank import Bank
 from calibration.image import LinearImage
 from workbench.depth.estimate import DepthEstimate
+from workbench.depth.options import require
 from workbench.depth.references.blur_size import blur_scale, estimate_from_blur
 from workbench.depth.references.edges import Profiles
 from workbench.depth.references.elder_zucker import (
@@ -31,7 +32,7 @@ from workbench.depth.references.elder_zucker import (
     scatter,
     too_few_edges,
 )
-from workbench.depth.screening import require, screen
+from workbench.depth.screening import screen
 
 FloatArray = NDArray[np.float64]
 

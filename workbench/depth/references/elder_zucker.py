@@ -18,9 +18,10 @@ from numpy.typing import NDArray
 from calibration.bank import Bank
 from calibration.image import LinearImage
 from workbench.depth.estimate import DepthEstimate
+from workbench.depth.options import require
 from workbench.depth.references.blur_size import blur_scale, estimate_from_blur
 from workbench.depth.references.edges import Detection, Profiles, edge_profiles, find_edges
-from workbench.depth.screening import Region, ScreeningOptions, expanded, no_depth, require, screen
+from workbench.depth.screening import Region, ScreeningOptions, expanded, no_depth, screen
 
 FloatArray = NDArray[np.float64]
 

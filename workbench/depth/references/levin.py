@@ -28,9 +28,10 @@ from calibration.bank import Bank
 from calibration.image import LinearImage
 from workbench.depth.estimate import DepthEstimate
 from workbench.depth.evidence_textures import random_texture
+from workbench.depth.options import require
 from workbench.depth.references.from_cost import estimate_from_cost
 from workbench.depth.references.sparse_deconvolution import SparsePrior, sparse_deconvolve
-from workbench.depth.screening import FloatImage, Mask, Region, ScreeningOptions, expanded, require, screen
+from workbench.depth.screening import FloatImage, Mask, Region, ScreeningOptions, expanded, screen
 
 FloatArray = NDArray[np.float64]
 

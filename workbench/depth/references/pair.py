@@ -24,9 +24,10 @@ from scipy import fft
 from calibration.bank import Bank
 from calibration.image import LinearImage
 from workbench.depth.estimate import DepthEstimate
+from workbench.depth.options import require
 from workbench.depth.references.from_cost import estimate_from_cost
 from workbench.depth.references.second_view import SecondViewOptions, common_depths, second_view
-from workbench.depth.screening import FloatImage, Region, expanded, noise_level, require, screen
+from workbench.depth.screening import FloatImage, Region, expanded, noise_level, screen
 
 FloatArray = NDArray[np.float64]
 Spectrum = NDArray[np.complexfloating]

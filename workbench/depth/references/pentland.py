@@ -23,9 +23,10 @@ from scipy import fft
 from calibration.bank import Bank
 from calibration.image import LinearImage
 from workbench.depth.estimate import DepthEstimate
+from workbench.depth.options import require
 from workbench.depth.references.blur_size import blur_scale, estimate_from_blur
 from workbench.depth.references.second_view import SecondViewOptions, second_view
-from workbench.depth.screening import FloatImage, Region, expanded, no_depth, noise_level, require, screen
+from workbench.depth.screening import FloatImage, Region, expanded, no_depth, noise_level, screen
 
 FloatArray = NDArray[np.float64]
 

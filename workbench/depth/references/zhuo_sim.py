@@ -21,10 +21,11 @@ from numpy.typing import NDArray
 from calibration.bank import Bank
 from calibration.image import LinearImage
 from workbench.depth.estimate import DepthEstimate
+from workbench.depth.options import require
 from workbench.depth.references.blur_size import blur_scale, estimate_from_blur
 from workbench.depth.references.edges import FloatImage, Mask, derivative, noise_gain
 from workbench.depth.references.elder_zucker import scatter, too_few_edges
-from workbench.depth.screening import ScreeningOptions, expanded, require, screen
+from workbench.depth.screening import ScreeningOptions, expanded, screen
 
 FloatArray = NDArray[np.float64]
 
