@@ -6,8 +6,9 @@ from dataclasses import replace
 
 from rigs.grbl_controller import GrblController
 from rigs.grbl_machine import GrblMachine, read_machine
+from rigs.grbl_moves import NOT_READY
 from rigs.grbl_protocol import Status
-from rigs.grbl_stage import NOT_READY, GrblSettings
+from rigs.grbl_stage import GrblSettings
 from rigs.protocols import DeviceIdentity
 from rigs.serial_link import SerialLink
 from rigs.stage_facts import StageFacts

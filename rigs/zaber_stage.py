@@ -28,18 +28,20 @@ from rigs.errors import (
     StageError,
     StoppedError,
 )
-from rigs.motion import braking_time_s, move_time_s
+from rigs.motion import braking_time_s, move_time_s, range_within
 from rigs.protocols import DeviceIdentity
 from rigs.serial_link import SerialLink
 from rigs.stage_facts import StageFacts
 from rigs.zaber_protocol import (
-    FAULTS,
     NO_REFERENCE,
+    OWN_DOING,
     POSITION_LOST,
     Reply,
+    fault,
     is_unasked,
     parse,
     rejection,
+    remark,
     request,
 )
 
@@ -122,13 +124,13 @@ class ZaberStage:
         self._step_mm = settings.microstep_mm * (_FULL_STEP / resolution if resolution else 1.0)
         own = (self._number("limit.min") * self._step_mm, self._number("limit.max") * self._step_mm)
         self._travel_mm = own[1] - own[0]
-        low, high = settings.limits_mm or own
-        self._limits_mm = max(low, own[0]), min(high, own[1])
-        if not self._limits_mm[0] < self._limits_mm[1]:
-            raise ConfigError(
-                f"stage.limits: {low:g} to {high:g} mm lie outside the device's own, {own[0]:g} to {own[1]:g} mm; "
-                "correct stage.limits or stage.microstep"
-            )
+        self._limits_mm = range_within(
+            settings.limits_mm,
+            own,
+            slack_mm=2 * self._step_mm,
+            whose="the device's own (limit.min, limit.max)",
+            mend="stage.microstep",
+        )
         max_speed = self._number("maxspeed") / _SPEED_UNIT * self._step_mm
         self._speed_mm_s = min(settings.speed_mm_s or math.inf, max_speed)
         acceleration = self._number("accel") * 1e4 / _SPEED_UNIT * self._step_mm
@@ -164,18 +166,23 @@ class ZaberStage:
 
     def facts(self) -> StageFacts:
         """What a check of the rig wants to know; asks, changes nothing."""
-        busy, flags = self._ask("").busy, self._flags()
-        faults = sorted(flags & FAULTS.keys() - {"NC"})
-        lost = [(flag, *POSITION_LOST[flag]) for flag in sorted(flags & POSITION_LOST.keys())]
-        problem = (f"the device says: {FAULTS[faults[0]][0]} ({faults[0]})", FAULTS[faults[0]][1]) if faults else None
+        busy, flags = self._ask("").busy, sorted(self._flags())
+        faults = [(flag, *what) for flag in flags if flag not in OWN_DOING and (what := fault(flag))]
+        lost = [(flag, *POSITION_LOST[flag]) for flag in flags if flag in POSITION_LOST]
+        others = [(flag, *what) for flag in flags if (what := remark(flag))]
+        problem = next(((f"the device says: {what} ({flag})", way_out) for flag, what, way_out in faults), None)
         if busy:
             problem = ("the device is moving on somebody else's command", "close that program")
         return StageFacts(
             identity=self.identify(),
-            state="BUSY" if busy else " ".join(["IDLE", *sorted(flags)]),
-            referenced=not flags & (NO_REFERENCE | POSITION_LOST.keys()),
+            state="BUSY" if busy else " ".join(["IDLE", *flags]),
+            referenced=not set(flags) & (NO_REFERENCE | POSITION_LOST.keys()),
             problem=problem,
-            remarks=tuple(("last alarm", f"the device {what} ({flag})", way_out) for flag, what, way_out in lost),
+            remarks=tuple(
+                (name, f"the device says: {what} ({flag})", way_out)
+                for name, found in (("last alarm", lost), ("warning", others))
+                for flag, what, way_out in found
+            ),
             homing=True,  # every device homes, and keeps to limit.min and limit.max by itself
             soft_limits=True,
             travel_mm=self._limits_mm,
@@ -271,6 +278,8 @@ class ZaberStage:
             if self._ask("").busy:
                 raise DeviceBusyError("stage: the device is moving on somebody else's command; close that program")
             expected_s = self.travel_time_s(position_mm - self._position_mm())
+            if self._flags() & OWN_DOING:
+                self._ask("warnings clear")
             command = f"move abs {round(position_mm / self._step_mm)}"
             if self._settings.speed_mm_s is not None:
                 command += f" {round(self._speed_mm_s / self._step_mm * _SPEED_UNIT)}"
@@ -333,10 +342,12 @@ class ZaberStage:
                 )
             time.sleep(_POLL_S)
         flags = self._flags()
-        for table, kind in ((POSITION_LOST, PositionLostError), (FAULTS, StageError)):
-            for flag in sorted(flags & table.keys()):
-                what, way_out = table[flag]
-                raise kind(f"stage: {what} ({flag}) while {doing}; {way_out}")
+        for flag in sorted(flags & POSITION_LOST.keys()):
+            what, way_out = POSITION_LOST[flag]
+            raise PositionLostError(f"stage: {what} ({flag}) while {doing}; {way_out}")
+        for flag in sorted(flags):
+            if found := fault(flag):
+                raise StageError(f"stage: {found[0]} ({flag}) while {doing}; {found[1]}")
         if self._stops != stops or "NI" in flags:
             known = "its position is still known" if not flags & NO_REFERENCE else "home the stage"
             raise StoppedError(f"stage: stopped while {doing}; {known}")
@@ -352,9 +363,9 @@ class ZaberStage:
             if self._was_known:
                 raise PositionLostError("stage: the device was restarted and lost its reference; home the stage")
             raise NotHomedError("stage: the device has no reference; home the stage")
-        for flag in sorted(flags & FAULTS.keys() - {"NC"}):
-            what, way_out = FAULTS[flag]
-            raise StageError(f"stage: {what} ({flag}); {way_out}")
+        for flag in sorted(flags - OWN_DOING):
+            if found := fault(flag):
+                raise StageError(f"stage: {found[0]} ({flag}); {found[1]}")
         self._was_known = True
 
     def _flags(self) -> frozenset[str]:
@@ -398,21 +409,22 @@ class ZaberStage:
                 message_id = self._next_id()
                 if not self._link.write(request(self._settings.device, axis, message_id, command), unless=unless):
                     raise StoppedError("stage: stopped before it moved")
-                reply = self._await(message_id, heard)
+                reply = self._await(axis, message_id, heard)
                 if reply is not None:
                     if not reply.accepted:
                         raise rejection(command, reply.data.split(" ")[0])
                     return reply
         raise self._no_reply(command, heard)
 
-    def _await(self, message_id: int, heard: list[str]) -> Reply | None:
+    def _await(self, axis: int, message_id: int, heard: list[str]) -> Reply | None:
+        ours = self._settings.device, axis, message_id
         end = time.monotonic() + self._settings.reply_timeout_s
         while (left := end - time.monotonic()) > 0:
             line = self._link.next_line(left)
             if line is None:
                 break
             reply = parse(line)
-            if reply is not None and (reply.device, reply.message_id) == (self._settings.device, message_id):
+            if reply is not None and (reply.device, reply.axis, reply.message_id) == ours:
                 return reply
             if not is_unasked(line):
                 heard.append(line)

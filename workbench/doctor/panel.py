@@ -71,7 +71,10 @@ def _look(
         panel.wait_ready(wait_s)
     status = panel.status()
     if status.last_heard_s is None:
-        mend = "open the address printed above on the tablet; --panel-wait 2min gives time for it"
+        mend = (
+            "open its address on the tablet: doctor shows it, with a code to scan, on stderr while it waits; "
+            "--panel-wait 2min gives time for it"
+        )
         if is_loopback(config.host):
             mend += "; a tablet needs panel.host: 0.0.0.0"
         return [*found, PANEL.error("page", f"none connected within {wait_s:g} s", mend)], ()
