@@ -40,6 +40,8 @@ class ZaberDevice:
     now: float = 0.0
     motion: Motion | None = None
     homing: bool = False
+    lasting: set[str] = field(default_factory=set)
+    """Flags that a new movement doesn't clear."""
     reject: dict[str, str] = field(default_factory=dict)
     """Commands (their beginnings) that are answered with RJ and this reason."""
 
@@ -119,7 +121,7 @@ class ZaberDevice:
         return int(self.settings["limit.min"]) <= target <= int(self.settings["limit.max"])
 
     def _go(self, target: float, speed: float) -> tuple[bool, str]:
-        self.flags -= {"NI", "FS"}
+        self.flags -= {"NI", "FS"} - self.lasting
         self.motion = Trapezoid(self.now, self.position, target, speed / _SPEED_UNIT, self._acceleration)
         return True, "0"
 

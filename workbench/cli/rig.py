@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from rigs.errors import LimitError
+from rigs.errors import LimitError, RigError
 from workbench.cli.common import LENGTH, Context, command_options
 from workbench.errors import InputError
 from workbench.field_grid import reach_text
@@ -172,10 +172,23 @@ def run_session(context: Context, project: Project, what: Plan | str) -> None:
             create_session(directory, made)
         with context.progress(f"session {session}") as observer:
             runner = SessionRunner(directory, made, rig, observer=observer, check=frames.read, news=news)
-            state = runner.run()
+            try:
+                state = runner.run()
+            except RigError as error:
+                error.args = (_resumable(str(error)),)
+                raise
     context.note("making the bank")
     result = calibrate_session(project, directory, made, state, config)
     _show_bank(context, project, result, session)
+
+
+def _resumable(message: str) -> str:
+    """An error that ended a session, with how to go on with it."""
+    if "`workbench resume`" in message:
+        return message
+    if message.startswith("stage:"):
+        return f"{message} (`workbench resume` homes it where needed, and goes on)"
+    return f"{message}, then `workbench resume`"
 
 
 def _show_bank(context: Context, project: Project, result: CalibrationResult, session: str = "") -> None:
