@@ -126,7 +126,7 @@ class GrblController:
             )
         raise DeviceTimeoutError(
             f"stage: no answer from {self._link.port} in {self._boot_timeout_s:g} s; "
-            "check power, stage.port and the baud rate"
+            "check power, stage.port, stage.kind and the baud rate"
         )
 
     def reset(self) -> bool:

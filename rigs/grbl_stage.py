@@ -121,7 +121,7 @@ class GrblStage:
                 self._link, reply_timeout_s=settings.reply_timeout_s, boot_timeout_s=settings.boot_timeout_s
             )
             self._become_ready(self._controller.wake())
-            self._machine: GrblMachine = read_machine(self._controller, settings.axis)
+            self._machine = self._read_machine()
             self._machine.require_safety(settings.allow_without_homing, settings.allow_without_soft_limits)
             self._limits_mm = self._machine.usable_mm(settings.limits_mm)
         except BaseException:
@@ -142,6 +142,13 @@ class GrblStage:
             kind, what, _ = NOT_READY[status.state]
             way_out = "close the door, then start again" if status.state == "Door" else "switch it off and on"
             raise kind(f"stage: the controller {what}; {way_out}")
+
+    def _read_machine(self) -> GrblMachine:
+        try:
+            return read_machine(self._controller, self._settings.axis)
+        except DeviceTimeoutError:  # reports but no lines: it is still at what another program gave it, a long pause
+            self._controller.reset()
+            return read_machine(self._controller, self._settings.axis)
 
     def identify(self) -> DeviceIdentity:
         """Firmware and settings of the controller."""

@@ -11,7 +11,7 @@ import itertools
 import math
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 
@@ -167,7 +167,7 @@ class ZaberStage:
     def facts(self) -> StageFacts:
         """What a check of the rig wants to know; asks, changes nothing."""
         busy, flags = self._ask("").busy, sorted(self._flags())
-        faults = [(flag, *what) for flag in flags if flag not in OWN_DOING and (what := fault(flag))]
+        faults = _faults(flags)
         lost = [(flag, *POSITION_LOST[flag]) for flag in flags if flag in POSITION_LOST]
         others = [(flag, *what) for flag in flags if (what := remark(flag))]
         problem = next(((f"the device says: {what} ({flag})", way_out) for flag, what, way_out in faults), None)
@@ -206,7 +206,8 @@ class ZaberStage:
         except RigError:
             self._was_known = False
             return False
-        known = not flags & (NO_REFERENCE | POSITION_LOST.keys())
+        # A fault may be over and only stand there still: homing clears it, or says that it isn't.
+        known = not flags & (NO_REFERENCE | POSITION_LOST.keys()) and not _faults(flags)
         self._was_known = self._was_known or known
         return known
 
@@ -363,9 +364,8 @@ class ZaberStage:
             if self._was_known:
                 raise PositionLostError("stage: the device was restarted and lost its reference; home the stage")
             raise NotHomedError("stage: the device has no reference; home the stage")
-        for flag in sorted(flags - OWN_DOING):
-            if found := fault(flag):
-                raise StageError(f"stage: {found[0]} ({flag}); {found[1]}")
+        for flag, what, way_out in _faults(flags):
+            raise StageError(f"stage: {what} ({flag}); {way_out}")
         self._was_known = True
 
     def _flags(self) -> frozenset[str]:
@@ -463,6 +463,11 @@ class ZaberStage:
             with suppress(RigError):
                 self._link.write(request(self._settings.device, self._settings.axis, self._next_id(), "stop"))
             raise
+
+
+def _faults(flags: Iterable[str]) -> list[tuple[str, str, str]]:
+    """Flags that keep a stage at rest from moving: the flag, what it means, the way out."""
+    return [(flag, *what) for flag in sorted(flags) if flag not in OWN_DOING and (what := fault(flag))]
 
 
 def _version(text: str) -> tuple[int, ...]:

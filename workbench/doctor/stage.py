@@ -184,7 +184,7 @@ def _travel(config: StageConfig, own_mm: tuple[float, float], depths_mm: tuple[f
             STAGE.error(
                 "limits",
                 f"stage.limits, {low:g} to {high:g} mm, reach beyond the travel of {own_mm[0]:g} to {own_mm[1]:g} mm",
-                "correct stage.limits in rig.yaml, or the travel in the controller",
+                "correct stage.limits in rig.yaml, or the controller's travel ($130; Zaber: limit.min, limit.max)",
             )
         )
     axis = DepthAxis(config.depth.offset_mm, config.depth.sign, config.depth.scale)

@@ -24,6 +24,8 @@ from rigs.errors import (
 )
 from rigs.grbl_protocol import Other, parse
 from rigs.grbl_stage import GrblSettings, GrblStage
+from tests.standins.grbl_firmware import GrblFirmware
+from tests.standins.tcp_server import TcpServer
 
 Grbl = Any
 InBackground = Callable[[Callable[[], object]], Any]
@@ -93,6 +95,12 @@ def test_controller_asleep_checking_or_held_homes(grbl: Grbl, state: str) -> Non
     assert stage.move_to_mm(-2800) == -2800
 
 
+def test_pause_that_another_program_left_behind_is_ended(grbl: Grbl) -> None:
+    grbl.homed().close()
+    grbl.firmware.receive(b"G4 P600\n")
+    assert grbl.homed().move_to_mm(-2000) == -2000
+
+
 def test_deaf_after_an_alarm_of_an_earlier_program_is_woken(grbl: Grbl) -> None:
     grbl.homed().close()
     grbl.firmware.receive(b"G90G0X50\n")
@@ -124,7 +132,29 @@ def test_usb_device_that_is_not_plugged_in() -> None:
         GrblStage(GrblSettings(port="usb:dead:beef"))
 
 
-@pytest.mark.parametrize("port", ["usb:12", "", "nonsense://x"])
+@pytest.mark.parametrize(
+    ("port", "words"),
+    [
+        ("socket://127.0.0.1:9", "can't be reached .*refused.*; check the network"),
+        ("rfc2217://127.0.0.1:9", "can't be reached .*refused.*; check the network"),
+        ("/dev/null", "is no serial port; correct stage.port"),
+        ("/tmp", "is no serial port; correct stage.port"),
+    ],
+)
+def test_port_that_leads_nowhere(port: str, words: str) -> None:
+    with pytest.raises(DeviceNotFoundError, match=words):
+        GrblStage(GrblSettings(port=port))
+
+
+def test_terminal_server_that_speaks_no_rfc2217() -> None:
+    with (
+        TcpServer(GrblFirmware()) as raw,
+        pytest.raises(DeviceNotFoundError, match=r"doesn't speak RFC 2217; correct stage\.port, or try socket://"),
+    ):
+        GrblStage(GrblSettings(port=raw.url.replace("socket", "rfc2217")))
+
+
+@pytest.mark.parametrize("port", ["usb:12", "", "nonsense://x", "socket://127.0.0.1", "rfc2217://host"])
 def test_port_that_is_no_port(port: str) -> None:
     with pytest.raises(ConfigError, match=r"stage\.port"):
         GrblStage(GrblSettings(port=port))
@@ -488,6 +518,14 @@ def test_move_that_takes_too_long(grbl: Grbl) -> None:
         stage.move_to_mm(-1000)
     assert not grbl.firmware.moving
     assert stage.homed()
+
+
+def test_duration_of_a_move_is_foretold_by_what_the_controller_says(grbl: Grbl) -> None:
+    grbl.slow(6000.0, 1000.0)  # 100 mm/s, reached in 0.1 s
+    stage = grbl.open()
+    assert stage.travel_time_s(-100) == pytest.approx(1.1, abs=0.15)
+    stage.close()
+    assert grbl.open(speed_mm_s=50.0).travel_time_s(100) == pytest.approx(2.05, abs=0.15)
 
 
 def test_slow_carriage_that_comes_nearer_is_waited_for(grbl: Grbl) -> None:

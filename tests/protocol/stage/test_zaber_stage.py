@@ -240,6 +240,15 @@ def test_fault_keeps_it_from_moving_and_says_the_way_out(zaber: ZaberBench, flag
     assert problem[1]
 
 
+def test_fault_that_is_over_is_homed_away(zaber: ZaberBench) -> None:
+    stage = zaber.homed()
+    zaber.device.flags.add("FB")
+    assert not stage.homed()  # so that a session homes it
+    stage.home()
+    assert stage.homed()
+    assert stage.move_to_mm(10) == 10
+
+
 @pytest.mark.parametrize("flag", ["WS", "WM", "WV", "WT", "WP", "ND", "NR", "NT", "NU", "NJ", "WQ"])
 def test_warning_that_stops_nothing_is_a_remark_with_a_way_out(zaber: ZaberBench, flag: str) -> None:
     stage = zaber.homed()
