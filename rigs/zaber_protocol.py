@@ -7,11 +7,14 @@ Request ``/1 1 07 move abs 12345:4C``: device, axis, message id, command, checks
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from rigs.errors import ConfigError, DeviceBusyError, LimitError, NotHomedError, ProtocolError, RigError, StageError
 
 _REPLY = re.compile(r"@(\d\d) (\d) (\d\d) (OK|RJ) (BUSY|IDLE) (--|[A-Z][A-Z0-9]) ?(.*)")
+
+_CONTINUATION = re.compile(r"#(\d\d) (\d) (\d\d) cont (.*)")
+_MORE = "\\"
 
 NO_REFERENCE = frozenset({"WR", "WH"})
 """Warnings that say: home first."""
@@ -120,6 +123,11 @@ class Reply:
     """Most important warning flag, empty where there is none."""
     data: str
 
+    @property
+    def goes_on(self) -> bool:
+        """Whether more of the data follows in another message."""
+        return self.data.endswith(_MORE)
+
 
 def checksum(body: str) -> str:
     """Longitudinal redundancy check of everything after the first character: two's complement of the sum of bytes."""
@@ -137,15 +145,7 @@ def parse(line: str) -> Reply | None:
 
     Replies carry a checksum only where the device is set so (``comm.checksum``); a wrong one makes the line unreadable.
     """
-    start = line.rfind("@")
-    if start < 0:
-        return None
-    line = line[start:]
-    if re.search(r":[0-9A-F]{2}$", line):
-        line, _, check = line.rpartition(":")
-        if checksum(line[1:]) != check:
-            return None
-    match = _REPLY.fullmatch(line)
+    match = _REPLY.fullmatch(_checked(line, "@"))
     if match is None:
         return None
     return Reply(
@@ -157,6 +157,27 @@ def parse(line: str) -> Reply | None:
         warning="" if match[6] == "--" else match[6],
         data=match[7],
     )
+
+
+def continued(reply: Reply, line: str) -> Reply | None:
+    """A reply and what a line adds to it; None where the line isn't its continuation (``#01 1 07 cont more data``)."""
+    match = _CONTINUATION.fullmatch(_checked(line, "#"))
+    if match is None or (int(match[1]), int(match[2]), int(match[3])) != (reply.device, reply.axis, reply.message_id):
+        return None
+    return replace(reply, data=f"{reply.data.removesuffix(_MORE)} {match[4]}")
+
+
+def _checked(line: str, kind: str) -> str:
+    """The message of this kind at a line's end, without its checksum; empty where there is none or it is wrong."""
+    start = line.rfind(kind)
+    if start < 0:
+        return ""
+    line = line[start:]
+    if re.search(r":[0-9A-F]{2}$", line):
+        line, _, check = line.rpartition(":")
+        if checksum(line[1:]) != check:
+            return ""
+    return line
 
 
 def is_unasked(line: str) -> bool:

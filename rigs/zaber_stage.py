@@ -37,6 +37,7 @@ from rigs.zaber_protocol import (
     OWN_DOING,
     POSITION_LOST,
     Reply,
+    continued,
     fault,
     is_unasked,
     parse,
@@ -370,7 +371,13 @@ class ZaberStage:
 
     def _flags(self) -> frozenset[str]:
         """All warnings; a reply's own field shows only the most important one."""
-        return frozenset(self._ask("warnings").data.split()[1:])
+        data = ""
+        for _ in range(_TRIES):
+            data = self._ask("warnings").data
+            count, *flags = data.split() or [""]
+            if count.isdigit() and int(count) == len(flags):
+                return frozenset(flags)
+        raise ProtocolError(f"stage: the list of warnings is damaged ({data[:60]!r}); check the cable, then try again")
 
     def _position_mm(self) -> float:
         """Position from two equal answers: without a checksum a digit may be changed by noise."""
@@ -419,14 +426,17 @@ class ZaberStage:
     def _await(self, axis: int, message_id: int, heard: list[str]) -> Reply | None:
         ours = self._settings.device, axis, message_id
         end = time.monotonic() + self._settings.reply_timeout_s
+        begun: Reply | None = None
         while (left := end - time.monotonic()) > 0:
             line = self._link.next_line(left)
             if line is None:
                 break
-            reply = parse(line)
+            reply = continued(begun, line) if begun is not None else parse(line)
             if reply is not None and (reply.device, reply.axis, reply.message_id) == ours:
-                return reply
-            if not is_unasked(line):
+                if not reply.goes_on:
+                    return reply
+                begun = reply
+            elif not is_unasked(line):
                 heard.append(line)
         return None
 

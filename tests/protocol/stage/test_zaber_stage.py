@@ -331,6 +331,27 @@ def test_garbled_reply_with_a_checksum_is_asked_again(zaber: ZaberBench) -> None
     assert stage.move_to_mm(100) == 100
 
 
+@pytest.mark.parametrize("in_replies", ["0", "1"])
+def test_warning_at_the_end_of_a_reply_in_several_messages_is_seen(zaber: ZaberBench, in_replies: str) -> None:
+    stage = zaber.homed()
+    zaber.device.settings["comm.checksum"] = in_replies
+    zaber.chain.longest_data = 6
+    zaber.device.flags = {"WL", "WR", "NI", "WS", "WT"}
+    assert not stage.homed()
+    zaber.device.flags -= {"WL", "WR"}
+    assert stage.homed()
+    assert stage.move_to_mm(100) == 100
+
+
+def test_list_of_warnings_that_lost_one_is_not_believed(zaber: ZaberBench) -> None:
+    stage = zaber.homed()
+    zaber.device.flags = {"WR"}
+    zaber.chain.change_reply = lambda reply: reply.replace(b"01 WR", b"01 ")
+    with pytest.raises(ProtocolError, match="list of warnings is damaged"):
+        stage.move_to_mm(100)
+    assert not stage.homed()
+
+
 def test_garbage_only(zaber: ZaberBench) -> None:
     stage = zaber.homed(reply_timeout_s=0.1)
     zaber.chain.change_reply = lambda reply: reply[:-8]
