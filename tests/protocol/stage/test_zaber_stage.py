@@ -312,9 +312,57 @@ def test_axis_that_is_not_there(zaber: ZaberBench) -> None:
         zaber.open(axis=2)
 
 
-def test_device_that_is_not_there(zaber: ZaberBench) -> None:
-    with pytest.raises(DeviceTimeoutError, match=r"stage\.device"):
-        zaber.open(device=7, reply_timeout_s=0.1)
+def test_address_that_nobody_has_names_those_that_answer(zaber: ZaberBench) -> None:
+    with pytest.raises(ProtocolError, match=r"device 7 doesn't answer, but devices 1, 2 do; correct stage\.device"):
+        zaber.open(device=7, reply_timeout_s=0.3)
+
+
+def test_nobody_answers(zaber: ZaberBench) -> None:
+    zaber.line.silent = True
+    with pytest.raises(DeviceTimeoutError, match=r"no answer .* check power, cable, stage\.device"):
+        zaber.open(reply_timeout_s=0.1)
+
+
+def test_two_devices_with_one_address_are_refused_before_both_move(zaber: ZaberBench) -> None:
+    zaber.chain.devices[1].address = 1
+    zaber.chain.devices[1].settings["system.serial"] = "100236"
+    with pytest.raises(ProtocolError, match=r"2 devices answer as device 1 .*100235, 100236.*renumber"):
+        zaber.open()
+    assert b"home" not in zaber.line.sent
+
+
+def test_number_that_noise_changed_is_asked_for_again(zaber: ZaberBench) -> None:
+    answers = iter(range(100))
+    zaber.chain.change_reply = lambda reply: (
+        reply.replace(b"6000000", b"600000") if b"6000000" in reply and next(answers) == 0 else reply
+    )
+    assert zaber.open().limits_mm() == (0, 3000)
+
+
+def test_power_cut_on_the_way_is_no_arrival(zaber: ZaberBench, in_background: InBackground) -> None:
+    stage = zaber.homed()
+    zaber.slow()
+    moving = in_background(lambda: stage.move_to_mm(1000))
+    zaber.wait_until(lambda: zaber.device.busy)
+    with zaber.line.lock:
+        zaber.device.power_on()
+    error = moving.ended()
+    assert isinstance(error, PositionLostError)
+    assert "restarted while moving to 1000 mm" in str(error)
+
+
+def test_another_programs_command_on_the_way_is_told_from_a_stop(
+    zaber: ZaberBench, in_background: InBackground
+) -> None:
+    stage = zaber.homed()
+    zaber.slow()
+    moving = in_background(lambda: stage.move_to_mm(1000))
+    zaber.wait_until(lambda: zaber.device.busy)
+    with zaber.line.lock:
+        zaber.device.answer(1, "stop")
+    error = moving.ended()
+    assert isinstance(error, StoppedError)
+    assert "interrupted by another program or its knob" in str(error)
 
 
 def test_answer_from_another_address(zaber: ZaberBench) -> None:
