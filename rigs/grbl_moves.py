@@ -16,7 +16,7 @@ _PROGRESS_MM = 0.1
 NOT_READY = {
     "Alarm": (AlarmError, "is in alarm", "home the stage"),
     "Hold": (StageError, "is paused (feed-hold button)", "press its resume button, or stop and home"),
-    "Door": (StageError, "sees its safety door open", "close the door and press resume"),
+    "Door": (StageError, "sees its safety door open", "close the door, then home the stage"),
     "Sleep": (StageError, "sleeps", "home the stage"),
     "Check": (StageError, "only checks G-code ($C)", "switch check mode off, or home the stage"),
     "Run": (DeviceBusyError, "is moving on somebody else's command", "close the other program, then home"),

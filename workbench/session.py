@@ -69,6 +69,10 @@ def load_plan(directory: Path) -> Plan:
         raise InputError(f"{path}: damaged plan; start a new session with `workbench calibrate`") from None
 
 
+_ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+"""Ctrl-C, `kill`, and a terminal that is closed: the carriage has to stop for each."""
+
+
 class StopRequest:
     """Ctrl-C that can't get lost: one that a library swallows in a callback still counts at the next shot."""
 
@@ -77,7 +81,7 @@ class StopRequest:
 
     @contextmanager
     def heard(self) -> Iterator[None]:
-        """Listen to SIGINT; does nothing outside the main thread, which alone may."""
+        """Listen to Ctrl-C and its like; does nothing outside the main thread, which alone may."""
         if threading.current_thread() is not threading.main_thread():
             yield
             return
@@ -86,12 +90,14 @@ class StopRequest:
             self._asked = True
             raise KeyboardInterrupt
 
-        before = signal.signal(signal.SIGINT, ask)
+        heard = [kind for kind in _ENDING if kind is signal.SIGINT or signal.getsignal(kind) is not signal.SIG_IGN]
+        before = {kind: signal.signal(kind, ask) for kind in heard}  # what nohup ignores stays ignored
         try:
             yield
             self.check()
         finally:
-            signal.signal(signal.SIGINT, before)
+            for kind, handler in before.items():
+                signal.signal(kind, handler)
 
     def withdraw(self) -> None:
         """It was heard, and what it should end has ended."""
