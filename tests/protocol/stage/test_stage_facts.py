@@ -81,6 +81,7 @@ def test_check_mode_is_a_disturbance(grbl: GrblBench) -> None:
 
 def test_open_door_is_a_problem_and_a_closed_one_is_none(grbl: GrblBench) -> None:
     grbl.homed().close()
+    grbl.forget_sent()
     with grbl.line.lock:
         grbl.firmware.open_door(stays_open=True)
     grbl.wait_until(lambda: grbl.firmware.state == "Hold")
