@@ -438,8 +438,10 @@ def test_stop_over_a_slow_line_is_not_deceived_by_answers_from_before(
 ) -> None:
     grbl.slow(6000.0, 1000.0)
     grbl.line.late_s = 0.2
-    stage = grbl.homed()
+    stage = grbl.homed(reply_timeout_s=5.0)
+    grbl.forget_sent()
     moving = in_background(lambda: stage.move_to_mm(-1000))
+    grbl.wait_until(lambda: bool(grbl.line.sent))
     time.sleep(after_s)
     stage.stop()
     assert isinstance(moving.ended(), StoppedError)
