@@ -34,6 +34,8 @@ _ASK_AGAIN_S = 0.5
 _RESET_AGAIN_S = 2.5
 """A boot loader is deaf for about 1.6 s; sooner than this a second attempt would only disturb."""
 _QUIET_S = 0.1
+_LONGEST_LAG_S = 1.0
+"""More than this between question and answer isn't the line's doing but the controller's start."""
 _REPORTS_WITHOUT_OFFSET = 60
 """GRBL sends the work offset with every tenth report at rest, every thirtieth in motion."""
 
@@ -64,6 +66,8 @@ class GrblController:
         self._reply_timeout_s, self._boot_timeout_s = reply_timeout_s, boot_timeout_s
         self._synchronised = True
         self._offset: tuple[float, ...] | None = None
+        self._lag_s = 0.0
+        """From question to answer, as measured: older answers may be under way for so long."""
         self.banner = ""
         self.latest: Status | None = None
         self.was_deaf = False
@@ -91,6 +95,7 @@ class GrblController:
         """
         start = time.monotonic()
         asked, reset = float("-inf"), start
+        first_asked = start
         noise: list[str] = []
         while (now := time.monotonic()) < start + self._boot_timeout_s:
             if now >= asked + 0.3:
@@ -102,12 +107,14 @@ class GrblController:
                 self.was_deaf = True
             reply = self._next(_SLICE_S)
             if isinstance(reply, Status):
+                self._lag_s = min(time.monotonic() - first_asked, _LONGEST_LAG_S)
                 self._quiet()
                 self._synchronised = True
-                return reply
+                return self.latest or reply
             if isinstance(reply, Banner):
                 self._quiet()
                 asked = float("-inf")
+                first_asked = time.monotonic()
             elif isinstance(reply, Other):
                 noise.append(reply.text)
         fragment = self._link.fragment()
@@ -119,7 +126,7 @@ class GrblController:
             )
         raise DeviceTimeoutError(
             f"stage: no answer from {self._link.port} in {self._boot_timeout_s:g} s; "
-            "check power, stage.port and the baud rate"
+            "check power, stage.port, stage.kind and the baud rate"
         )
 
     def reset(self) -> bool:
@@ -158,7 +165,8 @@ class GrblController:
         """Bring the stage to a stand, drop whatever it still had to do, and stay ready for commands.
 
         A feed hold brakes without losing steps, and a reset while held drops the rest of the movement; only a stage
-        that doesn't come to rest in time is reset on the run.
+        that doesn't come to rest in time is reset on the run. Over a slow line answers to earlier questions may still
+        be under way: they speak of the time before the stop, so they are let pass first.
 
         Parameters
         ----------
@@ -172,12 +180,11 @@ class GrblController:
         """
         end = time.monotonic() + patience_s
         previous: Status | None = None
+        fresh = False
         while time.monotonic() < end:
-            self._link.write(ASK_STATUS)
-            reply = self._next(_ASK_AGAIN_S)
-            while reply is not None and not isinstance(reply, Status | Alarm | Banner):
-                reply = self._next(_ASK_AGAIN_S)
+            reply = self._fresh_report() if fresh else self._let_pass()
             if reply is None:
+                fresh = not fresh  # a question without an answer: that may still be under way
                 continue
             if not isinstance(reply, Status) or reply.state in ("Alarm", "Sleep", "Home"):
                 self.reset()
@@ -192,6 +199,25 @@ class GrblController:
             time.sleep(0.02)
         self.reset()
         return False
+
+    def _let_pass(self) -> Alarm | Banner | None:
+        """Wait until every question that was asked before is answered; an alarm or a restart among the answers."""
+        end = time.monotonic() + self._lag_s * 1.5 + 0.02
+        while (left := end - time.monotonic()) > 0:
+            reply = self._next(left)
+            if isinstance(reply, Alarm | Banner):
+                return reply
+        return None
+
+    def _fresh_report(self) -> Status | Alarm | Banner | None:
+        """Ask once, nothing else being under way; None where no answer comes."""
+        self._link.write(ASK_STATUS)
+        end = time.monotonic() + self._ask_again_s
+        while (left := end - time.monotonic()) > 0:
+            reply = self._next(left)
+            if isinstance(reply, Status | Alarm | Banner):
+                return reply
+        return None
 
     # -- commands and reports ------------------------------------------------------------------------------------
 
@@ -240,7 +266,10 @@ class GrblController:
             if not self._link.write(line.encode("ascii") + b"\n", unless=self.stop_requested):
                 raise StopRequestedError
             self._synchronised = False
+            sent = time.monotonic()
             answer = self._answer(line, doing, timeout_s or self._reply_timeout_s, watch)
+            if line == "$I":  # answered at once, and by nothing else
+                self._lag_s = min(time.monotonic() - sent, _LONGEST_LAG_S)
             if not isinstance(answer, Error):
                 return answer
             if not (refused_as_garbled(answer.code) and retries > 0):
@@ -307,7 +336,7 @@ class GrblController:
                 raise StopRequestedError
             if now >= again:
                 self._link.write(ASK_STATUS)
-                again = now + _ASK_AGAIN_S
+                again = now + self._ask_again_s
             match self._next(_SLICE_S):
                 case Alarm() | Banner() as fault:
                     raise StopRequestedError if self.stop_requested() else _fault(fault, doing)
@@ -388,9 +417,14 @@ class GrblController:
                     pass
         raise self._no_answer("$I", "asking for its version", [])
 
-    def _quiet(self, seconds: float = _QUIET_S) -> None:
+    @property
+    def _ask_again_s(self) -> float:
+        return max(_ASK_AGAIN_S, 3 * self._lag_s)
+
+    def _quiet(self, seconds: float | None = None) -> None:
         """Throw away what arrives until nothing more comes."""
-        end = time.monotonic() + 2.0
+        seconds = max(_QUIET_S, 1.5 * self._lag_s) if seconds is None else seconds
+        end = time.monotonic() + 2.0 + 2 * seconds
         while self._next(seconds) is not None and time.monotonic() < end:
             pass
 

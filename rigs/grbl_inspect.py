@@ -6,14 +6,16 @@ from dataclasses import replace
 
 from rigs.grbl_controller import GrblController
 from rigs.grbl_machine import GrblMachine, read_machine
+from rigs.grbl_moves import NOT_READY
 from rigs.grbl_protocol import Status
-from rigs.grbl_stage import NOT_READY, GrblSettings
+from rigs.grbl_stage import GrblSettings
 from rigs.protocols import DeviceIdentity
 from rigs.serial_link import SerialLink
 from rigs.stage_facts import StageFacts
 
 _ANSWERS_SETTINGS = ("Idle", "Alarm")
 _MOTORS_STAY_ON = 255
+_DOOR_CLOSED_AGAIN = 0
 
 
 def inspect_grbl(settings: GrblSettings) -> StageFacts:
@@ -60,8 +62,10 @@ def _busy(settings: GrblSettings, status: Status) -> StageFacts:
     """What is known of a controller that doesn't tell its settings in this state."""
     _, what, way_out = NOT_READY[status.state]
     facts = StageFacts(identity=_identity(settings, "GRBL"), state=status.state, referenced=False)
+    if status.state == "Door" and status.substate != _DOOR_CLOSED_AGAIN:
+        return replace(facts, problem=(f"the controller {what}", "close the door"))
     if status.state == "Door":
-        return replace(facts, problem=(f"the controller {what}", way_out))
+        what = "stopped for its safety door, which is closed again"
     return replace(facts, disturbance=(f"the controller {what}: calibrate ends that", way_out))
 
 

@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from rigs.errors import StageError
+from rigs.errors import ConfigError, ProtocolError, StageError
 from rigs.grbl_controller import GrblController
 from rigs.grbl_protocol import Message, Setting
+from rigs.motion import range_within
 
 _SLOW_SEEK_MM_MIN = 300.0
 """Homing speed assumed where the controller doesn't tell ($24, $25 are missing in FluidNC): only for the deadline."""
@@ -65,6 +66,32 @@ class GrblMachine:
                 "stage.allow_without_soft_limits: true"
             )
 
+    def usable_mm(self, wanted_mm: tuple[float, float] | None) -> tuple[float, float]:
+        """Machine positions that may be commanded.
+
+        Parameters
+        ----------
+        wanted_mm
+            ``stage.limits`` of the configuration; None: all of the travel.
+
+        Raises
+        ------
+        ConfigError
+            The wanted range reaches beyond the controller's travel; or there is none, and without homing the
+            controller's says nothing.
+        """
+        if not self.homing:
+            if wanted_mm is None:
+                raise ConfigError("stage.limits is missing: without homing the controller's travel says nothing")
+            return wanted_mm
+        return range_within(
+            wanted_mm,
+            self.limits_mm,
+            slack_mm=self.resolution_mm,
+            whose="the controller's travel ($130, less the pull-off $27)",
+            mend="$130 in the controller",
+        )
+
     def facts(self) -> dict[str, str]:
         """What belongs into the provenance of a frame."""
         low, high = self.limits_mm
@@ -93,10 +120,11 @@ def read_machine(controller: GrblController, axis: str) -> GrblMachine:
     ------
     StageError
         A setting that moves depend on is missing or makes no sense.
+    ProtocolError
+        It says something else each time.
     """
     doing = "reading its settings"
-    replies = controller.command("$$", doing=doing, retries=1)
-    settings = {reply.number: reply.value for reply in replies if isinstance(reply, Setting)}
+    settings = _settings_read_twice(controller, doing)
     build = [reply for reply in controller.command("$I", doing=doing, retries=1) if isinstance(reply, Message)]
     index = "XYZ".index(axis)
     steps_per_mm = _positive(settings, 100 + index)
@@ -120,6 +148,23 @@ def read_machine(controller: GrblController, axis: str) -> GrblMachine:
         homing_time_s=_homing_time_s(settings, pull_off),
         report_unit_mm=report_unit_mm,
         resolution_mm=1.0 / steps_per_mm + report_unit_mm * last_digit + 0.0005,
+    )
+
+
+def _settings_read_twice(controller: GrblController, doing: str) -> dict[int, str]:
+    """Settings from two equal answers: travel and speed hang on them, and noise may lose a line or a digit."""
+    previous: dict[int, str] = {}
+    for _ in range(4):
+        replies = controller.command("$$", doing=doing, retries=1)
+        settings = {reply.number: reply.value for reply in replies if isinstance(reply, Setting)}
+        if settings and settings == previous:
+            return settings
+        previous = settings
+    raise ProtocolError(
+        "stage: the controller's settings ($$) read otherwise each time; check cable, ground and baud rate, then try "
+        "again"
+        if previous
+        else "stage: the controller tells no settings ($$); GRBL 1.1 is needed"
     )
 
 

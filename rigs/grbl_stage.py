@@ -24,7 +24,6 @@ from rigs.errors import (
     AlarmError,
     ConfigError,
     ConnectionLostError,
-    DeviceBusyError,
     DeviceTimeoutError,
     LimitError,
     NotHomedError,
@@ -36,6 +35,7 @@ from rigs.errors import (
 )
 from rigs.grbl_controller import GrblController, RestartedError, StopRequestedError
 from rigs.grbl_machine import GrblMachine, read_machine
+from rigs.grbl_moves import NOT_READY, Patience, require_running
 from rigs.grbl_protocol import HOLD, NORMAL_OVERRIDES, RESET, Status
 from rigs.motion import braking_time_s, move_time_s
 from rigs.protocols import DeviceIdentity
@@ -45,19 +45,6 @@ _STALE_IDLE_S = 1.5
 """How long the controller may say Idle somewhere else before we believe that it isn't going to move."""
 
 _POLL_S = 0.02
-
-NOT_READY = {
-    "Alarm": (AlarmError, "is in alarm", "home the stage"),
-    "Hold": (StageError, "is paused (feed-hold button)", "press its resume button, or stop and home"),
-    "Door": (StageError, "sees its safety door open", "close the door and press resume"),
-    "Sleep": (StageError, "sleeps", "home the stage"),
-    "Check": (StageError, "only checks G-code ($C)", "switch check mode off, or home the stage"),
-    "Run": (DeviceBusyError, "is moving on somebody else's command", "close the other program, then home"),
-    "Jog": (DeviceBusyError, "is being jogged", "wait until it stands, then try again"),
-    "Home": (DeviceBusyError, "is homing on somebody else's command", "wait, then home"),
-    "Tool": (StageError, "waits for a tool change", "home the stage"),
-}
-"""States in which a move isn't started: the error, what the controller does, and the way out."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,20 +120,35 @@ class GrblStage:
             self._controller = GrblController(
                 self._link, reply_timeout_s=settings.reply_timeout_s, boot_timeout_s=settings.boot_timeout_s
             )
-            status = self._controller.wake()
-            if status.state == "Check":  # nothing moves in it, and nothing but a reset leaves it for sure
-                self._controller.reset()
-            elif status.state not in ("Idle", "Alarm"):
-                self._controller.rest(settings.reply_timeout_s)
-            self._machine: GrblMachine = read_machine(self._controller, settings.axis)
+            self._become_ready(self._controller.wake())
+            self._machine = self._read_machine()
             self._machine.require_safety(settings.allow_without_homing, settings.allow_without_soft_limits)
-            if settings.limits_mm is None and not self._machine.homing:
-                raise ConfigError("stage.limits is missing: without homing the controller's travel says nothing")
+            self._limits_mm = self._machine.usable_mm(settings.limits_mm)
         except BaseException:
             self._link.close()
             raise
-        self._limits_mm = settings.limits_mm or self._machine.limits_mm
         self._speed_mm_s = min(settings.speed_mm_s or math.inf, self._machine.max_speed_mm_s)
+
+    def _become_ready(self, status: Status) -> None:
+        """Bring a controller that was just opened into a state in which it answers lines."""
+        if status.state in ("Idle", "Alarm"):
+            return
+        if status.state == "Check":  # nothing moves in it, and nothing but a reset leaves it for sure
+            self._controller.reset()
+        else:
+            self._controller.rest(self._settings.reply_timeout_s)
+        status = self._controller.status("opening it")
+        if status.state not in ("Idle", "Alarm"):  # a safety door that is still open
+            kind, what, _ = NOT_READY[status.state]
+            way_out = "close the door, then start again" if status.state == "Door" else "switch it off and on"
+            raise kind(f"stage: the controller {what}; {way_out}")
+
+    def _read_machine(self) -> GrblMachine:
+        try:
+            return read_machine(self._controller, self._settings.axis)
+        except DeviceTimeoutError:  # reports but no lines: it is still at what another program gave it, a long pause
+            self._controller.reset()
+            return read_machine(self._controller, self._settings.axis)
 
     def identify(self) -> DeviceIdentity:
         """Firmware and settings of the controller."""
@@ -237,6 +239,7 @@ class GrblStage:
             except RestartedError:  # a second banner: the command was sent into a reset and vanished
                 if not attempts_left:
                     raise
+                self._controller.reset()  # or it was carried out all the same: nothing may be under way twice
 
     def _accept_reference(self, status: Status) -> None:
         if status.state != "Idle":
@@ -245,11 +248,11 @@ class GrblStage:
                 "(without homing: with the carriage at its zero), and home"
             )
         position = self._mm(status)
-        low, high = self._limits_mm
+        low, high = self._machine.limits_mm
         if self._machine.homing and not low - self._machine.pull_off_mm - 1 <= position <= high + 1:
             raise StageError(
-                f"stage: homing ended at {position:g} mm, outside {low:g} to {high:g} mm; correct stage.limits in "
-                "rig.yaml, or $23 and $130 in the controller"
+                f"stage: homing ended at {position:g} mm, outside the controller's travel ({low:g} to {high:g} mm); "
+                "correct $23, $27 and $130 in the controller"
             )
         self._expected_mm, self._known = position, True
 
@@ -290,31 +293,46 @@ class GrblStage:
             start_mm = self._mm(self._ready_status(doing))
             if abs(position_mm - start_mm) <= 0.5 * self._machine.resolution_mm:
                 return start_mm
-            expected_s = self.travel_time_s(position_mm - start_mm)
-            end = time.monotonic() + self._settings.patience * expected_s + self._settings.reply_timeout_s
+            patience = Patience(
+                doing,
+                position_mm,
+                self.travel_time_s(position_mm - start_mm),
+                patience=self._settings.patience,
+                slack_s=self._settings.reply_timeout_s,
+            )
             self._moving, self._expected_mm = True, None
             self._controller.urge(NORMAL_OVERRIDES)
             # G53: machine coordinates, whatever work offsets are stored. All modes in every line, for after a reset.
             line = f"G90 G94 G21 G53 G1 {self._settings.axis}{position_mm:.3f} F{60 * self._speed_mm_s:.3f}"
-            self._controller.command(line, doing=doing, watch=_overdue_after(self._settings.reply_timeout_s), retries=1)
-            # Its ok comes when all motion has ended.
-            self._controller.command(
-                "G4 P0.01",
-                doing=doing,
-                timeout_s=max(end - time.monotonic(), 0.1),
-                watch=_overdue_after(self._settings.reply_timeout_s),
-                retries=1,
-            )
-            reached_mm = self._confirm(position_mm, doing, end)
+            # The ok of the second comes when all motion has ended.
+            for command in (line, "G4 P0.01"):
+                self._controller.command(
+                    command, doing=doing, timeout_s=patience.longest_s, watch=self._watch(patience), retries=1
+                )
+            reached_mm = self._confirm(position_mm, doing, patience)
             self._moving, self._expected_mm = False, reached_mm
             return reached_mm
 
-    def _confirm(self, target_mm: float, doing: str, end: float) -> float:
+    def _watch(self, patience: Patience) -> Callable[[Status], bool]:
+        """Look at the reports of a move: an answer is overdue where the stage has long been idle."""
+        idle_since = math.inf
+
+        def watch(status: Status) -> bool:
+            nonlocal idle_since
+            require_running(status)
+            now = time.monotonic()
+            idle_since = min(idle_since, now) if status.state == "Idle" else math.inf
+            patience.check(self._mm(status))
+            return now > idle_since + self._settings.reply_timeout_s
+
+        return watch
+
+    def _confirm(self, target_mm: float, doing: str, patience: Patience) -> float:
         idle_since: float | None = None
         while True:
             status = self._controller.steady(doing)
             now = time.monotonic()
-            _require_running(status)
+            require_running(status)
             if status.state == "Idle":
                 position_mm = self._mm(status)
                 if self.near(position_mm, target_mm):
@@ -329,11 +347,7 @@ class GrblStage:
                 continue
             idle_since = None
             time.sleep(_POLL_S)
-            if now > end:
-                raise DeviceTimeoutError(
-                    f"stage: not arrived while {doing} in the time that speed and acceleration allow; check motor "
-                    "power and $110, $120"
-                )
+            patience.check(self._mm(status))
 
     def stop(self) -> None:
         """Brake now, keep the position where possible, drop the rest of the movement. For any thread, at any time.
@@ -440,6 +454,9 @@ class GrblStage:
     def _ready_status(self, doing: str) -> Status:
         """Report of a controller that is idle where we left it."""
         status = self._controller.steady(doing)
+        if status.state == "Hold" and self._unsettled:  # our own stop, from another thread
+            self._settle()
+            status = self._controller.steady(doing)
         if status.state != "Idle":
             kind, what, way_out = NOT_READY[status.state]
             raise kind(f"stage: the controller {what} instead of {doing}; {way_out}")
@@ -466,31 +483,6 @@ class GrblStage:
 
     def _rest_patience_s(self) -> float:
         return 3 * braking_time_s(self._machine.max_speed_mm_s, self._machine.acceleration_mm_s2) + 3.0
-
-
-def _overdue_after(patience_s: float) -> Callable[[Status], bool]:
-    """Watch the reports of a move: an answer is overdue where the stage has long been idle."""
-    idle_since = math.inf
-
-    def watch(status: Status) -> bool:
-        nonlocal idle_since
-        _require_running(status)
-        idle_since = min(idle_since, time.monotonic()) if status.state == "Idle" else math.inf
-        return time.monotonic() > idle_since + patience_s
-
-    return watch
-
-
-def _require_running(status: Status) -> None:
-    if status.held:
-        raise StopRequestedError
-    if status.state == "Alarm":
-        raise AlarmError("stage: the controller went into alarm on the way; home the stage")
-    if status.state == "Sleep":
-        raise PositionLostError("stage: the controller fell asleep on the way: the position is lost; home the stage")
-    if status.state in ("Door", "Check", "Tool"):
-        kind, what, way_out = NOT_READY[status.state]
-        raise kind(f"stage: the controller {what} on the way; {way_out}")
 
 
 def _check(settings: GrblSettings) -> None:

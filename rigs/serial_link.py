@@ -22,7 +22,14 @@ from dataclasses import dataclass
 import serial
 from serial.tools import list_ports
 
-from rigs.errors import ConfigError, ConnectionLostError, DeviceBusyError, DeviceNotFoundError, DeviceTimeoutError
+from rigs.errors import (
+    ConfigError,
+    ConnectionLostError,
+    DeviceBusyError,
+    DeviceNotFoundError,
+    DeviceTimeoutError,
+    RigError,
+)
 
 _log = logging.getLogger(__name__)
 
@@ -31,6 +38,7 @@ _WRITE_TIMEOUT_S = 3.0
 _LONGEST_LINE = 1024
 """More bytes than this without a line end are noise (a wrong baud rate, mostly)."""
 
+_HOST_AND_PORT = re.compile(r"://[^/:]+:\d+")
 _USB_ID = re.compile(r"usb:([0-9a-fA-F]{4}):([0-9a-fA-F]{4})(?::(.+))?")
 
 
@@ -58,7 +66,9 @@ def find_port(port: str) -> str:
         if (info.vid, info.pid) == (vendor, product) and serial_number in (None, info.serial_number)
     ]
     if not found:
-        raise DeviceNotFoundError(f"stage: {port} is not plugged in; {_ports_found()}")
+        raise DeviceNotFoundError(
+            f"stage: {port} is not plugged in; plug it in, or correct stage.port; {_ports_found()}"
+        )
     if len(found) > 1:
         numbers = ", ".join(f"{port}:{info.serial_number}" for info in found)
         raise DeviceNotFoundError(f"stage: {port} fits {len(found)} devices; name one by its serial number: {numbers}")
@@ -98,24 +108,51 @@ def _open(port: str, baud_rate: int) -> serial.Serial:
     path = find_port(port)
     try:
         line = serial.serial_for_url(path, do_not_open=True, baudrate=baud_rate, timeout=_READ_SLICE_S)
-        line.write_timeout = _WRITE_TIMEOUT_S
+        if not path.startswith("rfc2217://"):  # it has none, and says so by an exception
+            line.write_timeout = _WRITE_TIMEOUT_S
         if "://" not in path:
             line.exclusive = True
         line.open()
-    except (OSError, ValueError) as error:  # SerialException is an OSError
-        number = getattr(error, "errno", None)
-        if isinstance(error, ValueError):
-            raise ConfigError(f"stage.port: {port!r} can't be opened: {error}") from error
-        if number in (errno.EBUSY, errno.EAGAIN) or "exclusively lock" in str(error):
-            raise DeviceBusyError(f"stage: {path} is used by another program; close it and try again") from error
-        if number in (errno.EACCES, errno.EPERM):
-            raise DeviceNotFoundError(
-                f"stage: no permission for {path}; add yourself to its group (mostly dialout) and log in again"
-            ) from error
-        raise DeviceNotFoundError(
-            f"stage: {path} can't be opened ({error}); check plug, power and stage.port; {_ports_found()}"
-        ) from error
+    except (OSError, ValueError, TypeError) as error:  # SerialException is an OSError; TypeError: a URL without a port
+        raise _cannot_open(port, path, error) from error
     return line
+
+
+def _cannot_open(port: str, path: str, error: Exception) -> RigError:
+    """What an exception at opening means, with the way out."""
+    text, number = str(error), getattr(error, "errno", None)
+    if isinstance(error, ValueError):
+        return ConfigError(f"stage.port: {port!r} can't be opened: {text}")
+    if "://" in path:
+        return _cannot_connect(path, text)
+    if number in (errno.EBUSY, errno.EAGAIN) or "exclusively lock" in text:
+        return DeviceBusyError(f"stage: {path} is used by another program; close it and try again")
+    if number in (errno.EACCES, errno.EPERM):
+        return DeviceNotFoundError(
+            f"stage: no permission for {path}; add yourself to its group (mostly dialout) and log in again"
+        )
+    if number == errno.ENOENT:
+        return DeviceNotFoundError(
+            f"stage: {path} can't be opened (it isn't there); check plug, power and stage.port; {_ports_found()}"
+        )
+    if number == errno.EISDIR or "Could not configure port" in text:
+        return DeviceNotFoundError(f"stage: {path} is no serial port; correct stage.port; {_ports_found()}")
+    return DeviceNotFoundError(
+        f"stage: {path} can't be opened ({text}); check plug, power and stage.port; {_ports_found()}"
+    )
+
+
+def _cannot_connect(url: str, text: str) -> RigError:
+    if not _HOST_AND_PORT.search(url):
+        return ConfigError(f"stage.port: {url!r} names no host and port; write {url.split(':')[0]}://192.168.1.5:23")
+    if "RFC2217" in text:
+        return DeviceNotFoundError(
+            f"stage: what answers at {url} doesn't speak RFC 2217; correct stage.port, or try socket:// instead"
+        )
+    why = text.removeprefix(f"Could not open port {url}: ")
+    return DeviceNotFoundError(
+        f"stage: {url} can't be reached ({why}); check the network, the power there, and host and port in stage.port"
+    )
 
 
 class SerialLink:
@@ -255,6 +292,8 @@ class SerialLink:
             self._arrived.notify_all()
 
     def _lost(self, why: str) -> ConnectionLostError:
+        if "returned no data" in why:  # pyserial's words are about its own reading
+            why = "nothing comes from it any more: unplugged, switched off, or read by another program too"
         return ConnectionLostError(
             f"stage: connection to {self.port} is lost ({why}); plug it in, start again, and home the stage"
         )

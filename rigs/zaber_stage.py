@@ -7,11 +7,10 @@ never taken for the one that is waited for.
 
 from __future__ import annotations
 
-import itertools
 import math
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 
@@ -28,24 +27,20 @@ from rigs.errors import (
     StageError,
     StoppedError,
 )
-from rigs.motion import braking_time_s, move_time_s
+from rigs.motion import braking_time_s, move_time_s, range_within
 from rigs.protocols import DeviceIdentity
 from rigs.serial_link import SerialLink
 from rigs.stage_facts import StageFacts
+from rigs.zaber_line import ZaberLine
 from rigs.zaber_protocol import (
-    FAULTS,
     NO_REFERENCE,
+    OWN_DOING,
     POSITION_LOST,
-    Reply,
-    is_unasked,
-    parse,
-    rejection,
-    request,
+    fault,
+    remark,
 )
 
 _POLL_S = 0.03
-_TRIES = 2
-"""A message may be lost or damaged on its way; every command of ours may be sent twice, for its target is absolute."""
 _SPEED_UNIT = 1.6384
 """Speeds are in microsteps / 1.6384 s, accelerations in 10000 microsteps / (1.6384 s s) (Zaber ASCII manual, units)."""
 _MOVES_WITH_SPEED_SINCE = (7, 25)
@@ -105,39 +100,40 @@ class ZaberStage:
     def __init__(self, settings: ZaberSettings) -> None:
         _check(settings)
         self._settings = settings
-        self._asking, self._moving = threading.Lock(), threading.RLock()
-        self._message_ids = itertools.cycle(range(100))
+        self._moving = threading.RLock()
         self._stops = 0
         self._was_known = self._closed = False
-        self._link = SerialLink(settings.port, settings.baud_rate)
+        link = SerialLink(settings.port, settings.baud_rate)
+        self._line = ZaberLine(link, settings.device, settings.axis, reply_timeout_s=settings.reply_timeout_s)
         try:
+            self._line.require_one_device()
             self._read_device()
         except BaseException:
-            self._link.close()
+            self._line.close()
             raise
 
     def _read_device(self) -> None:
-        settings = self._settings
-        resolution = self._optional("resolution", settings.axis)
+        settings, line = self._settings, self._line
+        resolution = line.optional("resolution", settings.axis)
         self._step_mm = settings.microstep_mm * (_FULL_STEP / resolution if resolution else 1.0)
-        own = (self._number("limit.min") * self._step_mm, self._number("limit.max") * self._step_mm)
+        own = (line.number("limit.min") * self._step_mm, line.number("limit.max") * self._step_mm)
         self._travel_mm = own[1] - own[0]
-        low, high = settings.limits_mm or own
-        self._limits_mm = max(low, own[0]), min(high, own[1])
-        if not self._limits_mm[0] < self._limits_mm[1]:
-            raise ConfigError(
-                f"stage.limits: {low:g} to {high:g} mm lie outside the device's own, {own[0]:g} to {own[1]:g} mm; "
-                "correct stage.limits or stage.microstep"
-            )
-        max_speed = self._number("maxspeed") / _SPEED_UNIT * self._step_mm
+        self._limits_mm = range_within(
+            settings.limits_mm,
+            own,
+            slack_mm=2 * self._step_mm,
+            whose="the device's own (limit.min, limit.max)",
+            mend="stage.microstep",
+        )
+        max_speed = line.number("maxspeed") / _SPEED_UNIT * self._step_mm
         self._speed_mm_s = min(settings.speed_mm_s or math.inf, max_speed)
-        acceleration = self._number("accel") * 1e4 / _SPEED_UNIT * self._step_mm
+        acceleration = line.number("accel") * 1e4 / _SPEED_UNIT * self._step_mm
         self._acceleration_mm_s2 = acceleration or 1e4 * max_speed  # 0 means: at once
-        approach = self._optional("limit.approach.maxspeed", settings.axis)
+        approach = line.optional("limit.approach.maxspeed", settings.axis)
         self._homing_speed_mm_s = approach / _SPEED_UNIT * self._step_mm if approach else max_speed / 4
-        self._firmware = self._ask("get version", axis=0).data
-        self._serial = self._text("system.serial")
-        self._device_id = self._text("device.id") or self._text("deviceid")
+        self._firmware = line.ask("get version", axis=0).data
+        self._serial = line.text("system.serial")
+        self._device_id = line.text("device.id") or line.text("deviceid")
         if settings.speed_mm_s is not None and _version(self._firmware) < _MOVES_WITH_SPEED_SINCE:
             raise ConfigError(
                 f"stage.speed: needs firmware 7.25 or newer, the device has {self._firmware}; leave it out and set "
@@ -164,18 +160,23 @@ class ZaberStage:
 
     def facts(self) -> StageFacts:
         """What a check of the rig wants to know; asks, changes nothing."""
-        busy, flags = self._ask("").busy, self._flags()
-        faults = sorted(flags & FAULTS.keys() - {"NC"})
-        lost = [(flag, *POSITION_LOST[flag]) for flag in sorted(flags & POSITION_LOST.keys())]
-        problem = (f"the device says: {FAULTS[faults[0]][0]} ({faults[0]})", FAULTS[faults[0]][1]) if faults else None
+        busy, flags = self._line.busy(), sorted(self._line.flags())
+        faults = _faults(flags)
+        lost = [(flag, *POSITION_LOST[flag]) for flag in flags if flag in POSITION_LOST]
+        others = [(flag, *what) for flag in flags if (what := remark(flag))]
+        problem = next(((f"the device says: {what} ({flag})", way_out) for flag, what, way_out in faults), None)
         if busy:
             problem = ("the device is moving on somebody else's command", "close that program")
         return StageFacts(
             identity=self.identify(),
-            state="BUSY" if busy else " ".join(["IDLE", *sorted(flags)]),
-            referenced=not flags & (NO_REFERENCE | POSITION_LOST.keys()),
+            state="BUSY" if busy else " ".join(["IDLE", *flags]),
+            referenced=not set(flags) & (NO_REFERENCE | POSITION_LOST.keys()),
             problem=problem,
-            remarks=tuple(("last alarm", f"the device {what} ({flag})", way_out) for flag, what, way_out in lost),
+            remarks=tuple(
+                (name, f"the device says: {what} ({flag})", way_out)
+                for name, found in (("last alarm", lost), ("warning", others))
+                for flag, what, way_out in found
+            ),
             homing=True,  # every device homes, and keeps to limit.min and limit.max by itself
             soft_limits=True,
             travel_mm=self._limits_mm,
@@ -195,11 +196,12 @@ class ZaberStage:
         if self._closed:
             return False
         try:
-            flags = self._flags()
+            flags = self._line.flags()
         except RigError:
             self._was_known = False
             return False
-        known = not flags & (NO_REFERENCE | POSITION_LOST.keys())
+        # A fault may be over and only stand there still: homing clears it, or says that it isn't.
+        known = not flags & (NO_REFERENCE | POSITION_LOST.keys()) and not _faults(flags)
         self._was_known = self._was_known or known
         return known
 
@@ -229,11 +231,15 @@ class ZaberStage:
         stops = self._stops
         with self._moving, self._braking_on_failure():
             self._was_known = False
-            self._ask("warnings clear", stops=stops)
-            self._ask("home", stops=stops)
+
+            def stopped() -> bool:
+                return self._stops != stops
+
+            self._line.ask("warnings clear", unless=stopped)
+            self._line.ask("home", unless=stopped)
             expected_s = 1.2 * self._travel_mm / self._homing_speed_mm_s + 5.0
             self._wait("homing", stops, time.monotonic() + self._settings.patience * expected_s)
-            if self._flags() & NO_REFERENCE:
+            if self._line.flags() & NO_REFERENCE:
                 raise StageError("stage: no reference after homing; check the home sensor, then home again")
             self._was_known = True
 
@@ -268,15 +274,17 @@ class ZaberStage:
             )
         with self._moving:
             self._require_reference()
-            if self._ask("").busy:
+            if self._line.busy():
                 raise DeviceBusyError("stage: the device is moving on somebody else's command; close that program")
             expected_s = self.travel_time_s(position_mm - self._position_mm())
+            if self._line.flags() & OWN_DOING:
+                self._line.ask("warnings clear")
             command = f"move abs {round(position_mm / self._step_mm)}"
             if self._settings.speed_mm_s is not None:
                 command += f" {round(self._speed_mm_s / self._step_mm * _SPEED_UNIT)}"
             doing = f"moving to {position_mm:g} mm"
             with self._braking_on_failure():
-                self._ask(command, stops=stops)
+                self._line.ask(command, unless=lambda: self._stops != stops)
                 end = time.monotonic() + self._settings.patience * expected_s + self._settings.reply_timeout_s
                 self._wait(doing, stops, end)
                 reached_mm = self._position_mm()
@@ -299,9 +307,9 @@ class ZaberStage:
         self._stops += 1
         if self._closed:
             return
-        self._link.write(request(self._settings.device, self._settings.axis, self._next_id(), "stop"))
+        self._line.send("stop")
         end = time.monotonic() + 3 * braking_time_s(self._speed_mm_s, self._acceleration_mm_s2) + 3.0
-        while self._ask("").busy:
+        while self._line.busy():
             if time.monotonic() > end:
                 raise DeviceTimeoutError("stage: doesn't come to rest; cut its power")
             time.sleep(_POLL_S)
@@ -316,15 +324,14 @@ class ZaberStage:
         else:
             self._moving.release()
         self._closed = True
-        self._link.close()
+        self._line.close()
 
-    # -- talking -------------------------------------------------------------------------------------------------
+    # -- waiting, judging ----------------------------------------------------------------------------------------
 
     def _wait(self, doing: str, stops: int, end: float) -> None:
         """Poll until the device is idle, without a fault."""
         while True:
-            reply = self._ask("")
-            if not reply.busy:
+            if not self._line.busy():
                 break
             if time.monotonic() > end:
                 raise DeviceTimeoutError(
@@ -332,19 +339,26 @@ class ZaberStage:
                     "maxspeed and accel"
                 )
             time.sleep(_POLL_S)
-        flags = self._flags()
-        for table, kind in ((POSITION_LOST, PositionLostError), (FAULTS, StageError)):
-            for flag in sorted(flags & table.keys()):
-                what, way_out = table[flag]
-                raise kind(f"stage: {what} ({flag}) while {doing}; {way_out}")
+        flags = self._line.flags()
+        for flag in sorted(flags & POSITION_LOST.keys()):
+            what, way_out = POSITION_LOST[flag]
+            raise PositionLostError(f"stage: {what} ({flag}) while {doing}; {way_out}")
+        if flags & NO_REFERENCE and self._was_known:
+            raise PositionLostError(
+                f"stage: the device was restarted while {doing} and lost its reference; home the stage"
+            )
+        for flag in sorted(flags):
+            if found := fault(flag):
+                raise StageError(f"stage: {found[0]} ({flag}) while {doing}; {found[1]}")
         if self._stops != stops or "NI" in flags:
+            how = "stopped" if self._stops != stops else "interrupted by another program or its knob"
             known = "its position is still known" if not flags & NO_REFERENCE else "home the stage"
-            raise StoppedError(f"stage: stopped while {doing}; {known}")
+            raise StoppedError(f"stage: {how} while {doing}; {known}")
 
     def _require_reference(self) -> None:
         if self._closed:
             raise NotHomedError("stage: the connection is closed; open it again")
-        flags = self._flags()
+        flags = self._line.flags()
         for flag in sorted(flags & POSITION_LOST.keys()):
             what, way_out = POSITION_LOST[flag]
             raise PositionLostError(f"stage: {what} ({flag}); {way_out}")
@@ -352,93 +366,19 @@ class ZaberStage:
             if self._was_known:
                 raise PositionLostError("stage: the device was restarted and lost its reference; home the stage")
             raise NotHomedError("stage: the device has no reference; home the stage")
-        for flag in sorted(flags & FAULTS.keys() - {"NC"}):
-            what, way_out = FAULTS[flag]
+        for flag, what, way_out in _faults(flags):
             raise StageError(f"stage: {what} ({flag}); {way_out}")
         self._was_known = True
-
-    def _flags(self) -> frozenset[str]:
-        """All warnings; a reply's own field shows only the most important one."""
-        return frozenset(self._ask("warnings").data.split()[1:])
 
     def _position_mm(self) -> float:
         """Position from two equal answers: without a checksum a digit may be changed by noise."""
         previous = None
         for _ in range(10):
-            steps = self._number("pos")
-            if steps == previous or self._ask("").busy:
+            steps = self._line.latest("pos")
+            if steps == previous or self._line.busy():
                 return steps * self._step_mm
             previous = steps
         raise ProtocolError("stage: positions contradict each other at rest: check the cable for noise")
-
-    def _number(self, setting: str) -> float:
-        data = self._ask(f"get {setting}").data
-        try:
-            return float(data.split()[0])
-        except (ValueError, IndexError):
-            raise ProtocolError(f"stage: {setting} is {data!r}, no number; check cable and stage.kind") from None
-
-    def _optional(self, setting: str, axis: int) -> float | None:
-        text = self._text(setting, axis)
-        return float(text) if text.replace(".", "", 1).isdigit() else None
-
-    def _text(self, setting: str, axis: int = 0) -> str:
-        """Value of a setting that not every device has."""
-        with suppress(ProtocolError, LimitError, ConfigError):
-            return self._ask(f"get {setting}", axis=axis).data
-        return ""
-
-    def _ask(self, command: str, *, axis: int | None = None, stops: int | None = None) -> Reply:
-        """Send a command and wait for the reply that bears its number."""
-        unless: Callable[[], bool] = (lambda: False) if stops is None else (lambda: self._stops != stops)
-        axis = self._settings.axis if axis is None else axis
-        heard: list[str] = []
-        with self._asking:
-            for _ in range(_TRIES):
-                message_id = self._next_id()
-                if not self._link.write(request(self._settings.device, axis, message_id, command), unless=unless):
-                    raise StoppedError("stage: stopped before it moved")
-                reply = self._await(message_id, heard)
-                if reply is not None:
-                    if not reply.accepted:
-                        raise rejection(command, reply.data.split(" ")[0])
-                    return reply
-        raise self._no_reply(command, heard)
-
-    def _await(self, message_id: int, heard: list[str]) -> Reply | None:
-        end = time.monotonic() + self._settings.reply_timeout_s
-        while (left := end - time.monotonic()) > 0:
-            line = self._link.next_line(left)
-            if line is None:
-                break
-            reply = parse(line)
-            if reply is not None and (reply.device, reply.message_id) == (self._settings.device, message_id):
-                return reply
-            if not is_unasked(line):
-                heard.append(line)
-        return None
-
-    def _no_reply(self, command: str, heard: list[str]) -> RigError:
-        fragment = self._link.fragment()
-        if fragment:
-            heard = [*heard, fragment]
-        others = {reply.device for line in heard if (reply := parse(line))} - {self._settings.device}
-        if others:
-            return ProtocolError(
-                f"stage: device {self._settings.device} doesn't answer, but device {min(others)} does; correct "
-                "stage.device, or look for a second device with that address"
-            )
-        if heard:
-            return ProtocolError(
-                f"stage: the answer to {command!r} was garbled, cut off or somebody else's ({heard[-1][:60]!r}); check "
-                "cable, baud rate and stage.kind, then try again"
-            )
-        return DeviceTimeoutError(
-            f"stage: no answer to {command!r} from {self._link.port}; check power, cable, stage.device and baud rate"
-        )
-
-    def _next_id(self) -> int:
-        return next(self._message_ids)  # one step of the interpreter: no two threads get the same
 
     @contextmanager
     def _braking_on_failure(self) -> Iterator[None]:
@@ -449,8 +389,13 @@ class ZaberStage:
             raise
         except BaseException:
             with suppress(RigError):
-                self._link.write(request(self._settings.device, self._settings.axis, self._next_id(), "stop"))
+                self._line.send("stop")
             raise
+
+
+def _faults(flags: Iterable[str]) -> list[tuple[str, str, str]]:
+    """Flags that keep a stage at rest from moving: the flag, what it means, the way out."""
+    return [(flag, *what) for flag in sorted(flags) if flag not in OWN_DOING and (what := fault(flag))]
 
 
 def _version(text: str) -> tuple[int, ...]:

@@ -206,7 +206,7 @@ def open_stage(opening: Opening) -> Stage:
     config = opening.config.stage
     match config.kind:
         case "simulated":
-            return SimulatedStage(opening.world)
+            return SimulatedStage(opening.world, config.limits_mm)
         case "manual":
             stage: Stage = _manual_stage(config)
         case "grbl":

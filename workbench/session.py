@@ -69,8 +69,8 @@ def load_plan(directory: Path) -> Plan:
         raise InputError(f"{path}: damaged plan; start a new session with `workbench calibrate`") from None
 
 
-_STOPPING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-"""Ctrl-C, `kill`, and a terminal that is closed or a connection to it that breaks."""
+_ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+"""Ctrl-C, `kill`, and a terminal that is closed: the carriage has to stop for each."""
 
 
 class StopRequest:
@@ -84,7 +84,7 @@ class StopRequest:
 
     @contextmanager
     def heard(self) -> Iterator[None]:
-        """Listen to what asks us to stop; does nothing outside the main thread, which alone may."""
+        """Listen to Ctrl-C and its like; does nothing outside the main thread, which alone may."""
         if threading.current_thread() is not threading.main_thread():
             yield
             return
@@ -93,15 +93,14 @@ class StopRequest:
             self._asked = True
             raise KeyboardInterrupt
 
-        # `nohup` has SIGHUP ignored, and that has to stay so; a shell's background job has SIGINT ignored.
-        heard = [n for n in _STOPPING if n == signal.SIGINT or signal.getsignal(n) != signal.SIG_IGN]
-        before = {number: signal.signal(number, ask) for number in heard}
+        heard = [kind for kind in _ENDING if kind is signal.SIGINT or signal.getsignal(kind) is not signal.SIG_IGN]
+        before = {kind: signal.signal(kind, ask) for kind in heard}  # what nohup ignores stays ignored
         try:
             yield
             self.check()
         finally:
-            for number, handler in before.items():
-                signal.signal(number, handler)
+            for kind, handler in before.items():
+                signal.signal(kind, handler)
 
     def withdraw(self) -> None:
         """It was heard, and what it should end has ended."""

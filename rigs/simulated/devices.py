@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 
 from rigs.errors import CameraError, LimitError, NotHomedError, PanelError, SettingError
+from rigs.motion import range_within
 from rigs.protocols import CaptureResult, DeviceIdentity, Exposure, PanelAck, Pattern
 from rigs.simulated.dng import Compression, FrameTags, write_dng
 from rigs.simulated.panel_view import check_pattern
@@ -127,9 +128,16 @@ def _offered(value: float, offered: tuple[float, ...], what: str, unit: str) -> 
 class SimulatedStage:
     """A rail that has to be homed, and then carries the panel nearly where it is told to."""
 
-    def __init__(self, world: SimulatedWorld) -> None:
+    def __init__(self, world: SimulatedWorld, limits_mm: tuple[float, float] | None = None) -> None:
         self._world = world
         self._homed = False
+        self._limits_mm = range_within(
+            limits_mm,
+            (0.0, world.settings.stage_travel_mm),
+            slack_mm=1e-6,
+            whose="the simulated rail",
+            mend="leave them out",
+        )
 
     def identify(self) -> DeviceIdentity:
         """Kind and travel."""
@@ -160,8 +168,8 @@ class SimulatedStage:
         return self._world.commanded_mm
 
     def limits_mm(self) -> tuple[float, float]:
-        """Travel."""
-        return 0.0, self._world.settings.stage_travel_mm
+        """Travel, or the part of it that is to be used."""
+        return self._limits_mm
 
     def move_to_mm(self, position_mm: float) -> float:
         """Move and return the confirmed position.

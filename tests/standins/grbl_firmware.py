@@ -79,10 +79,13 @@ class GrblFirmware:
     def press_hold(self) -> None:
         self._flags.add("hold")
 
-    def open_door(self) -> None:
+    def open_door(self, *, stays_open: bool = False) -> None:
         """Open the safety door, and close it again: motion brakes, and waits for a resume."""
-        self._door = True
+        self._door, self._ajar = True, stays_open
         self._flags.add("hold")
+
+    def close_door(self) -> None:
+        self._ajar = False
 
     @property
     def moving(self) -> bool:
@@ -156,6 +159,9 @@ class GrblFirmware:
                 self.state = "Idle"
             else:
                 self.state = "Idle"
+            if self._ajar and self.state == "Idle":
+                self._say_line("[MSG:Check Door]")
+                self.state, self._suspended, self._door = "Hold", True, True
             yield from self._protocol()
             self._initialise()
 
@@ -246,8 +252,8 @@ class GrblFirmware:
             self.state, self._suspended = "Sleep", True
         if "resume" in self._flags:
             self._flags.discard("resume")
-            if self.state == "Hold" and self._suspended:
-                self._suspended = False
+            if self.state == "Hold" and self._suspended and not self._ajar:
+                self._suspended = self._door = False
                 self.state = "Idle"
                 self._start_cycle(True)
         if "cycle-stop" in self._flags:
@@ -259,7 +265,7 @@ class GrblFirmware:
             elif self.state in ("Run", "Jog"):
                 self.state = "Idle"
 
-    _soft_limit_hold = _door = False
+    _soft_limit_hold = _door = _ajar = False
 
     # -- motion --------------------------------------------------------------------------------------------------
 
@@ -524,7 +530,7 @@ class GrblFirmware:
 
         state = self.state
         if state == "Hold" and self._door:
-            state = "Door:0" if self._suspended else "Door:2"
+            state = ("Door:1" if self._ajar else "Door:0") if self._suspended else "Door:2"
         elif state == "Hold":
             state += ":0" if self._suspended else ":1"
         parts = [state, f"{'MPos' if flags & 1 else 'WPos'}:{vector(place)}"]

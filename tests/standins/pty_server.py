@@ -7,7 +7,8 @@ import select
 import threading
 import time
 import tty
-from collections.abc import Callable
+from collections import deque
+from collections.abc import Callable, Iterator
 from typing import Protocol
 
 
@@ -32,10 +33,14 @@ class PtyServer:
         self.sent: bytearray = bytearray()
         """What the driver has sent so far."""
         self.silent = False
+        self.late_s = 0.0
+        """How long each way takes: an answer comes twice as late."""
         self.corrupt: Callable[[bytes], bytes] = bytes
         """Changes what the device says on its way."""
         self.corrupt_input: Callable[[bytes], bytes] = bytes
         self._on_open, self._tick_s = on_open, tick_s
+        self._to_device: deque[tuple[float, bytes]] = deque()
+        self._to_driver: deque[tuple[float, bytes]] = deque()
         self._master, slave = os.openpty()
         tty.setraw(slave)
         self.path = os.ttyname(slave)
@@ -85,13 +90,22 @@ class PtyServer:
         if connected and event & select.POLLIN:
             data = os.read(self._master, 4096)
             self.sent += data
+            self._to_device.append((time.monotonic() + self.late_s, data))
+        for data in _arrived(self._to_device):
             self.device.receive(self.corrupt_input(data))
         self.device.step(time.monotonic())
         output = bytes(self.device.output)
         self.device.output.clear()
         if connected and output and not self.silent:
-            self._write(self.corrupt(output))
+            self._to_driver.append((time.monotonic() + self.late_s, self.corrupt(output)))
+        for data in _arrived(self._to_driver):
+            self._write(data)
 
     def _write(self, data: bytes) -> None:
         if self._master >= 0 and data:
             os.write(self._master, data)
+
+
+def _arrived(way: deque[tuple[float, bytes]]) -> Iterator[bytes]:
+    while way and way[0][0] <= time.monotonic():
+        yield way.popleft()[1]

@@ -40,6 +40,8 @@ class ZaberDevice:
     now: float = 0.0
     motion: Motion | None = None
     homing: bool = False
+    lasting: set[str] = field(default_factory=set)
+    """Flags that a new movement doesn't clear."""
     reject: dict[str, str] = field(default_factory=dict)
     """Commands (their beginnings) that are answered with RJ and this reason."""
 
@@ -119,7 +121,7 @@ class ZaberDevice:
         return int(self.settings["limit.min"]) <= target <= int(self.settings["limit.max"])
 
     def _go(self, target: float, speed: float) -> tuple[bool, str]:
-        self.flags -= {"NI", "FS"}
+        self.flags -= {"NI", "FS"} - self.lasting
         self.motion = Trapezoid(self.now, self.position, target, speed / _SPEED_UNIT, self._acceleration)
         return True, "0"
 
@@ -138,6 +140,8 @@ class ZaberChain:
         self.devices = devices or (ZaberDevice(),)
         self.output = bytearray()
         self.checksums_required = False
+        self.longest_data = 1000
+        """Characters of data in one message; the rest follows in further ones."""
         self.change_reply: Callable[[bytes], bytes] = bytes
         self._input = bytearray()
 
@@ -170,8 +174,22 @@ class ZaberChain:
                 accepted, data = device.answer(axis or 0, numbers[4].decode("latin-1"))
                 words = [f"{device.address:02d}", f"{axis or 0}"]
                 words += [f"{message_id:02d}"] if message_id is not None else []
-                words += ["OK" if accepted else "RJ", "BUSY" if device.busy else "IDLE", device._flag(), data]
-                reply = " ".join(words).encode()
-                if device.settings["comm.checksum"] == "1":
-                    reply += f":{lrc(reply)}".encode()
-                self.output += self.change_reply(b"@" + reply + b"\r\n")
+                kinds = [("@", ["OK" if accepted else "RJ", "BUSY" if device.busy else "IDLE", device._flag()])]
+                parts = _split(data, self.longest_data)
+                kinds += [("#", ["cont"])] * (len(parts) - 1)
+                for (kind, head), part in zip(kinds, parts, strict=True):
+                    reply = " ".join([*words, *head, part]).encode()
+                    if device.settings["comm.checksum"] == "1":
+                        reply += f":{lrc(reply)}".encode()
+                    self.output += self.change_reply(kind.encode() + reply + b"\r\n")
+
+
+def _split(data: str, longest: int) -> list[str]:
+    """Data as it goes into several messages, between words, each but the last with a mark that more follows."""
+    parts: list[str] = []
+    for word in data.split():
+        if parts and len(parts[-1]) + len(word) < longest:
+            parts[-1] += f" {word}"
+        else:
+            parts.append(word)
+    return [f"{part}\\" for part in parts[:-1]] + parts[-1:]

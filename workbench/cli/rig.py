@@ -176,10 +176,20 @@ def run_session(context: Context, project: Project, what: Plan | str) -> None:
             try:
                 state = runner.run()
             except RigError as error:
-                raise type(error)(f"{error}; then `workbench resume` goes on") from error.__cause__
+                error.args = (_resumable(str(error)),)
+                raise
     context.note("making the bank")
     result = calibrate_session(project, directory, made, state, config)
     _show_bank(context, project, result, session)
+
+
+def _resumable(message: str) -> str:
+    """An error that ended a session, with how to go on with it."""
+    if "`workbench resume`" in message:
+        return message
+    if message.startswith("stage:"):
+        return f"{message} (`workbench resume` homes it where needed, and goes on)"
+    return f"{message}, then `workbench resume`"
 
 
 def _show_bank(context: Context, project: Project, result: CalibrationResult, session: str = "") -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 from rigs.errors import RigError
 from rigs.grbl_inspect import inspect_grbl
@@ -16,6 +17,8 @@ from workbench.doctor.findings import Finding, Subject
 from workbench.doctor.processes import serial_programs
 
 STAGE = Subject("stage")
+_SAME_MM = 0.02
+"""Limits of rig.yaml that differ by less from the controller's mean the same: one step, or a data sheet's rounding."""
 
 
 def stage_findings(
@@ -52,7 +55,7 @@ def stage_findings(
 def _facts(config: StageConfig) -> StageFacts:
     if config.kind == "grbl":
         return inspect_grbl(grbl_settings(config))
-    device = ZaberStage(zaber_settings(config))
+    device = ZaberStage(replace(zaber_settings(config), limits_mm=None))  # what it has, whatever rig.yaml wants
     try:
         return device.facts()
     finally:
@@ -166,6 +169,7 @@ def _travel(config: StageConfig, own_mm: tuple[float, float], depths_mm: tuple[f
     """Whether every planned depth lies within both the controller's travel and stage.limits."""
     low, high = config.limits_mm or own_mm
     usable = max(low, own_mm[0]), min(high, own_mm[1])
+    beyond = low < own_mm[0] - _SAME_MM or high > own_mm[1] + _SAME_MM
     if not usable[0] < usable[1]:
         return [
             STAGE.error(
@@ -175,12 +179,12 @@ def _travel(config: StageConfig, own_mm: tuple[float, float], depths_mm: tuple[f
             )
         ]
     found = []
-    if (low, high) != usable:
+    if beyond:
         found.append(
-            STAGE.warning(
+            STAGE.error(
                 "limits",
                 f"stage.limits, {low:g} to {high:g} mm, reach beyond the travel of {own_mm[0]:g} to {own_mm[1]:g} mm",
-                "correct stage.limits in rig.yaml, or the travel in the controller",
+                "correct stage.limits in rig.yaml, or the controller's travel ($130; Zaber: limit.min, limit.max)",
             )
         )
     axis = DepthAxis(config.depth.offset_mm, config.depth.sign, config.depth.scale)

@@ -6,7 +6,7 @@ import os
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field, replace
 
 import pytest
@@ -16,6 +16,8 @@ from rigs.grbl_stage import GrblSettings, GrblStage
 from tests.standins.grbl_firmware import GrblFirmware
 from tests.standins.pty_server import PtyServer
 from tests.standins.rail import Rail
+from tests.standins.rfc2217_server import Rfc2217Server
+from tests.standins.tcp_server import TcpServer
 
 FAST = {110: 3000000.0, 120: 1000000.0, 24: 60000.0, 25: 600000.0, 26: 2}
 """50 m/s: a rail on which moves take milliseconds."""
@@ -98,17 +100,19 @@ _BENCH = [pytest.param(os.environ["WORKBENCH_TEST_GRBL"], marks=pytest.mark.hard
     if "WORKBENCH_TEST_GRBL" in os.environ else []  # fmt: skip
 
 
-@pytest.fixture(params=["stand-in", *_BENCH])
+@pytest.fixture(params=["pty", "socket", "rfc2217", *_BENCH])
 def any_grbl(request: pytest.FixtureRequest) -> Iterator[GrblStage]:
-    """A GRBL stage, homed: the stand-in, and the one of WORKBENCH_TEST_GRBL where that is set."""
-    if request.param == "stand-in":
-        bench: GrblBench = request.getfixturevalue("grbl")
-        bench.slow(60000.0, 5000.0)
-        yield bench.homed()
-        return
-    stage = GrblStage(GrblSettings(port=request.param))
-    try:
+    """A GRBL stage, homed: the stand-in over each kind of line, and the one of WORKBENCH_TEST_GRBL where it is set."""
+    with ExitStack() as held:
+        port = request.param
+        if port in ("pty", "socket", "rfc2217"):
+            firmware = GrblFirmware(Rail(carriage_mm=60.0), FAST | {110: 60000.0, 120: 5000.0})
+            line = held.enter_context(TcpServer(firmware) if port == "socket" else PtyServer(firmware))
+            if port == "rfc2217":
+                assert isinstance(line, PtyServer)
+                line = held.enter_context(Rfc2217Server(line.path))
+            port = line.path if isinstance(line, PtyServer) else line.url
+        stage = GrblStage(GrblSettings(port=port))
+        held.callback(stage.close)
         stage.home()
         yield stage
-    finally:
-        stage.close()

@@ -24,6 +24,8 @@ from rigs.errors import (
 )
 from rigs.grbl_protocol import Other, parse
 from rigs.grbl_stage import GrblSettings, GrblStage
+from tests.standins.grbl_firmware import GrblFirmware
+from tests.standins.tcp_server import TcpServer
 
 Grbl = Any
 InBackground = Callable[[Callable[[], object]], Any]
@@ -93,6 +95,12 @@ def test_controller_asleep_checking_or_held_homes(grbl: Grbl, state: str) -> Non
     assert stage.move_to_mm(-2800) == -2800
 
 
+def test_pause_that_another_program_left_behind_is_ended(grbl: Grbl) -> None:
+    grbl.homed().close()
+    grbl.firmware.receive(b"G4 P600\n")
+    assert grbl.homed().move_to_mm(-2000) == -2000
+
+
 def test_deaf_after_an_alarm_of_an_earlier_program_is_woken(grbl: Grbl) -> None:
     grbl.homed().close()
     grbl.firmware.receive(b"G90G0X50\n")
@@ -124,7 +132,29 @@ def test_usb_device_that_is_not_plugged_in() -> None:
         GrblStage(GrblSettings(port="usb:dead:beef"))
 
 
-@pytest.mark.parametrize("port", ["usb:12", "", "nonsense://x"])
+@pytest.mark.parametrize(
+    ("port", "words"),
+    [
+        ("socket://127.0.0.1:9", "can't be reached .*refused.*; check the network"),
+        ("rfc2217://127.0.0.1:9", "can't be reached .*refused.*; check the network"),
+        ("/dev/null", "is no serial port; correct stage.port"),
+        ("/tmp", "is no serial port; correct stage.port"),
+    ],
+)
+def test_port_that_leads_nowhere(port: str, words: str) -> None:
+    with pytest.raises(DeviceNotFoundError, match=words):
+        GrblStage(GrblSettings(port=port))
+
+
+def test_terminal_server_that_speaks_no_rfc2217() -> None:
+    with (
+        TcpServer(GrblFirmware()) as raw,
+        pytest.raises(DeviceNotFoundError, match=r"doesn't speak RFC 2217; correct stage\.port, or try socket://"),
+    ):
+        GrblStage(GrblSettings(port=raw.url.replace("socket", "rfc2217")))
+
+
+@pytest.mark.parametrize("port", ["usb:12", "", "nonsense://x", "socket://127.0.0.1", "rfc2217://host"])
 def test_port_that_is_no_port(port: str) -> None:
     with pytest.raises(ConfigError, match=r"stage\.port"):
         GrblStage(GrblSettings(port=port))
@@ -156,6 +186,53 @@ def test_runs_without_homing_where_the_configuration_says_so(grbl: Grbl) -> None
     assert stage.move_to_mm(400) == 400
     with pytest.raises(LimitError):
         stage.move_to_mm(501)
+
+
+@pytest.mark.parametrize("limits", [(-2900.0, 0.0), (-2895.0, 100.0), (0.0, 2895.0)])
+def test_limits_beyond_the_controllers_travel_are_refused_before_anything_moves(
+    grbl: Grbl, limits: tuple[float, float]
+) -> None:
+    with pytest.raises(ConfigError, match=r"stage\.limits: .* beyond the controller's travel .*-2895 to 0 mm; correct"):
+        grbl.open(limits_mm=limits)
+    assert b"$H" not in grbl.line.sent
+    assert b"G" not in grbl.line.sent
+
+
+def test_limits_that_leave_out_the_switch_are_kept_though_homing_ends_there(grbl: Grbl) -> None:
+    stage = grbl.homed(limits_mm=(-2000.0, -100.0))
+    assert stage.position_mm() == -2895
+    with pytest.raises(LimitError, match="-2000 to -100 mm"):
+        stage.move_to_mm(-2500)
+    assert stage.move_to_mm(-2000) == -2000
+
+
+def test_setting_lost_to_noise_is_read_again(grbl: Grbl) -> None:
+    answers = iter(range(100))
+
+    def first_answer_loses_a_digit(data: bytes) -> bytes:
+        return data.replace(b"$130=2900", b"$130=290") if b"$130" in data and next(answers) == 0 else data
+
+    grbl.line.corrupt = first_answer_loses_a_digit
+    assert grbl.open().limits_mm() == (-2895, 0)
+
+
+def test_settings_that_read_otherwise_each_time_are_not_believed(grbl: Grbl) -> None:
+    answers = iter(range(100))
+    grbl.line.corrupt = lambda data: data.replace(b"$130=2900", b"$130=29%02d" % next(answers))
+    with pytest.raises(ProtocolError, match=r"settings .* read otherwise each time; check cable"):
+        grbl.open()
+
+
+def test_safety_door_open_at_the_start_is_named(grbl: Grbl) -> None:
+    grbl.homed().close()
+    with grbl.line.lock:
+        grbl.firmware.open_door(stays_open=True)
+    grbl.wait_until(lambda: grbl.firmware.state == "Hold")
+    with pytest.raises(StageError, match="sees its safety door open; close the door, then start again"):
+        grbl.open()
+    with grbl.line.lock:
+        grbl.firmware.close_door()
+    assert grbl.homed().move_to_mm(-2000) == -2000
 
 
 # -- homing ------------------------------------------------------------------------------------------------------
@@ -223,12 +300,14 @@ def test_stale_idle_isnt_arrival(grbl: Grbl, stale_s: float) -> None:
         assert grbl.firmware.machine_mm == pytest.approx(place, abs=0.02)
 
 
-def test_soft_limit_of_the_controller_narrower_than_we_think(grbl: Grbl) -> None:
-    stage = grbl.homed(limits_mm=(-2895.0, 100.0))
-    with pytest.raises(AlarmError, match=r"ALARM:2 while moving to 50 mm.*\$130"):
-        stage.move_to_mm(50)
+def test_soft_limit_of_the_controller_narrower_than_it_said(grbl: Grbl) -> None:
+    stage = grbl.homed()
+    grbl.firmware.settings[130] = 1000.0
+    with pytest.raises(AlarmError, match=r"ALARM:2 while moving to -2000 mm.*\$130"):
+        stage.move_to_mm(-2000)
     with pytest.raises(NotHomedError, match="ALARM:2"):
         stage.move_to_mm(-1000)
+    grbl.firmware.settings[130] = 2900.0
     stage.home()
     assert stage.move_to_mm(-1000) == -1000
 
@@ -353,6 +432,43 @@ def test_stop_just_before_a_move_is_not_overtaken(grbl: Grbl) -> None:
     assert b"G1" not in grbl.line.sent
 
 
+@pytest.mark.parametrize("after_s", [0.0, 0.15, 0.4, 0.8])
+def test_stop_over_a_slow_line_is_not_deceived_by_answers_from_before(
+    grbl: Grbl, in_background: InBackground, after_s: float
+) -> None:
+    grbl.slow(6000.0, 1000.0)
+    grbl.line.late_s = 0.2
+    stage = grbl.homed(reply_timeout_s=5.0)
+    grbl.forget_sent()
+    moving = in_background(lambda: stage.move_to_mm(-1000))
+    grbl.wait_until(lambda: bool(grbl.line.sent))
+    time.sleep(after_s)
+    stage.stop()
+    assert isinstance(moving.ended(), StoppedError)
+    assert not grbl.firmware.moving
+    assert grbl.firmware.state == "Idle"
+    assert stage.position_mm() == pytest.approx(grbl.firmware.machine_mm, abs=0.02)
+    there = stage.position_mm() + 2
+    assert stage.move_to_mm(there) == pytest.approx(there, abs=0.02)
+
+
+def test_position_asked_for_while_another_thread_stops_is_told(grbl: Grbl) -> None:
+    stage = grbl.homed()
+    steady = stage._controller.steady
+
+    def stopped_first(doing: str) -> Any:
+        if not stage._unsettled and grbl.firmware.state == "Idle":
+            stage._controller.steady = steady
+            stage._unsettled = True  # as stop() does before it waits for its turn
+            stage._controller.urge(b"!")
+            grbl.wait_until(lambda: grbl.firmware.state == "Hold")
+        return steady(doing)
+
+    stage._controller.steady = stopped_first
+    assert stage.position_mm() == -2895
+    assert stage.move_to_mm(-2000) == -2000
+
+
 def test_control_c_during_a_move_brakes(grbl: Grbl, monkeypatch: pytest.MonkeyPatch) -> None:
     stage = grbl.homed()
     grbl.slow()
@@ -404,6 +520,30 @@ def test_move_that_takes_too_long(grbl: Grbl) -> None:
         stage.move_to_mm(-1000)
     assert not grbl.firmware.moving
     assert stage.homed()
+
+
+def test_duration_of_a_move_is_foretold_by_what_the_controller_says(grbl: Grbl) -> None:
+    grbl.slow(6000.0, 1000.0)  # 100 mm/s, reached in 0.1 s
+    stage = grbl.open()
+    assert stage.travel_time_s(-100) == pytest.approx(1.1, abs=0.15)
+    stage.close()
+    assert grbl.open(speed_mm_s=50.0).travel_time_s(100) == pytest.approx(2.05, abs=0.15)
+
+
+def test_slow_carriage_that_comes_nearer_is_waited_for(grbl: Grbl) -> None:
+    stage = grbl.homed(reply_timeout_s=0.3)
+    grbl.firmware.settings[110] = 100000.0  # 1.7 m/s, where it said 50: 0.9 s, and half of that should do
+    assert stage.move_to_mm(-1400) == -1400
+
+
+def test_homing_started_by_a_command_that_a_restart_seemed_to_swallow_does_not_run_twice(grbl: Grbl) -> None:
+    stage = grbl.open()
+    banner = iter([b"\r\nGrbl 1.1h ['$' for help]\r\n"])
+    grbl.line.corrupt_input = lambda data: (grbl.line.say(next(banner, b"") if b"$H" in data else b""), data)[1]
+    stage.home()
+    assert stage.homed()
+    assert grbl.firmware.state == "Idle"
+    assert stage.move_to_mm(-2800) == -2800
 
 
 # -- the line ----------------------------------------------------------------------------------------------------

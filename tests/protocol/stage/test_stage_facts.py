@@ -79,6 +79,23 @@ def test_check_mode_is_a_disturbance(grbl: GrblBench) -> None:
     assert grbl.firmware.state == "Idle"
 
 
+def test_open_door_is_a_problem_and_a_closed_one_is_none(grbl: GrblBench) -> None:
+    grbl.homed().close()
+    grbl.forget_sent()
+    with grbl.line.lock:
+        grbl.firmware.open_door(stays_open=True)
+    grbl.wait_until(lambda: grbl.firmware.state == "Hold")
+    facts = look(grbl)
+    assert facts.problem == ("the controller sees its safety door open", "close the door")
+    with grbl.line.lock:
+        grbl.firmware.close_door()
+    facts = look(grbl)
+    assert facts.problem is None
+    assert facts.disturbance is not None
+    assert "closed again: calibrate ends that" in facts.disturbance[0]
+    grbl.homed()  # as was promised
+
+
 def test_stage_that_somebody_else_moves_is_left_alone(grbl: GrblBench) -> None:
     grbl.homed().close()
     grbl.slow(mm_min=600.0)

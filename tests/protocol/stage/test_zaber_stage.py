@@ -25,6 +25,7 @@ from rigs.errors import (
     StageError,
     StoppedError,
 )
+from rigs.zaber_protocol import NO_REFERENCE, OWN_DOING, POSITION_LOST, fault, remark
 from rigs.zaber_stage import ZaberSettings, ZaberStage
 from tests.standins.pty_server import PtyServer
 from tests.standins.tcp_server import TcpServer
@@ -55,6 +56,12 @@ class ZaberBench:
         stage = self.open(**changes)
         stage.home()
         return stage
+
+    def wait_until(self, what: Callable[[], bool], limit_s: float = 5.0) -> None:
+        end = time.monotonic() + limit_s
+        while not what():
+            assert time.monotonic() < end, "it never came to that"
+            time.sleep(0.002)
 
     def slow(self) -> None:
         self.device.settings |= {"maxspeed": "327680", "accel": "400"}  # 100 mm/s
@@ -195,12 +202,80 @@ def test_home_sensor_dead(zaber: ZaberBench) -> None:
         zaber.open().home()
 
 
-def test_knob_turned_on_the_way(zaber: ZaberBench) -> None:
+def test_knob_turned_on_the_way(zaber: ZaberBench, in_background: InBackground) -> None:
     stage = zaber.homed()
     zaber.slow()
-    zaber.device.flags.add("NC")
-    with pytest.raises(StageError, match="knob"):
-        stage.move_to_mm(5)
+    moving = in_background(lambda: stage.move_to_mm(1000))
+    zaber.wait_until(lambda: zaber.device.busy)
+    with zaber.line.lock:
+        zaber.device.flags.add("NC")
+        zaber.device.answer(1, "stop")
+    error = moving.ended()
+    assert isinstance(error, StageError)
+    assert "knob" in str(error)
+
+
+@pytest.mark.parametrize("flag", ["NI", "NC"])
+def test_warning_left_over_from_a_broken_off_movement_stops_no_other(zaber: ZaberBench, flag: str) -> None:
+    zaber.device.lasting = {flag}  # until it is cleared
+    stage = zaber.homed()
+    zaber.device.flags.add(flag)
+    assert stage.move_to_mm(100) == 100
+
+
+@pytest.mark.parametrize(
+    ("flag", "words"),
+    [("FB", "close the other program"), ("FV", "power supply"), ("FZ", "activate it"), ("FY", "doesn't know .FY")],
+)
+def test_fault_keeps_it_from_moving_and_says_the_way_out(zaber: ZaberBench, flag: str, words: str) -> None:
+    stage = zaber.homed()
+    zaber.device.flags.add(flag)
+    with pytest.raises(StageError, match=words) as caught:
+        stage.move_to_mm(10)
+    assert flag in str(caught.value)
+    assert b"move abs" not in zaber.line.sent
+    problem = stage.facts().problem
+    assert problem is not None
+    assert flag in problem[0]
+    assert problem[1]
+
+
+def test_fault_that_is_over_is_homed_away(zaber: ZaberBench) -> None:
+    stage = zaber.homed()
+    zaber.device.flags.add("FB")
+    assert not stage.homed()  # so that a session homes it
+    stage.home()
+    assert stage.homed()
+    assert stage.move_to_mm(10) == 10
+
+
+@pytest.mark.parametrize("flag", ["WS", "WM", "WV", "WT", "WP", "ND", "NR", "NT", "NU", "NJ", "WQ"])
+def test_warning_that_stops_nothing_is_a_remark_with_a_way_out(zaber: ZaberBench, flag: str) -> None:
+    stage = zaber.homed()
+    zaber.device.flags.add(flag)
+    assert stage.move_to_mm(10) == 10
+    facts = stage.facts()
+    assert facts.problem is None
+    ((name, seen, way_out),) = facts.remarks
+    assert name == "warning"
+    assert flag in seen
+    assert way_out
+
+
+def test_every_flag_that_the_vendor_knows_has_its_words() -> None:
+    vendor = pytest.importorskip("zaber_motion.ascii").WarningFlags
+    for flag in (value for name, value in vars(vendor).items() if name.isupper()):
+        known = fault(flag) or remark(flag) or flag in NO_REFERENCE | OWN_DOING | POSITION_LOST.keys()
+        assert known, flag
+        assert "this program doesn't know" not in str(fault(flag) or remark(flag)), flag
+
+
+@pytest.mark.parametrize("limits_mm", [(-10.0, 3000.0), (0.0, 3000.1), (9e4, 9e5)])
+def test_limits_beyond_the_devices_own_are_refused(zaber: ZaberBench, limits_mm: tuple[float, float]) -> None:
+    with pytest.raises(ConfigError, match=r"stage\.limits: .* beyond the device's own .*0 to 3000 mm; correct"):
+        zaber.open(limits_mm=limits_mm)
+    assert b"home" not in zaber.line.sent
+    assert b"move" not in zaber.line.sent
 
 
 @pytest.mark.parametrize(
@@ -208,8 +283,19 @@ def test_knob_turned_on_the_way(zaber: ZaberBench) -> None:
     [
         ("AGAIN", DeviceBusyError, "try again"),
         ("BADDATA", LimitError, "limits"),
-        ("PARKED", StageError, "parked"),
+        ("BADAXIS", ConfigError, r"stage\.axis"),
+        ("BADCOMMAND", ProtocolError, "firmware may be too old"),
+        ("BADMESSAGEID", ProtocolError, "cable"),
+        ("BUSY", DeviceBusyError, "close the other program"),
+        ("DEVICEONLY", ProtocolError, "firmware may be too old"),
         ("DRIVERDISABLED", StageError, "driver"),
+        ("FULL", DeviceBusyError, "switch the device off and on"),
+        ("INACTIVE", StageError, "activate it"),
+        ("LOCKSTEP", StageError, "dissolve"),
+        ("NOACCESS", StageError, r"system\.access"),
+        ("PARKED", StageError, "parked"),
+        ("REMOTE", StageError, "hand control back"),
+        ("STATUSBUSY", DeviceBusyError, "wait"),
         ("SOMETHINGNEW", StageError, "SOMETHINGNEW"),
     ],
 )
@@ -226,9 +312,57 @@ def test_axis_that_is_not_there(zaber: ZaberBench) -> None:
         zaber.open(axis=2)
 
 
-def test_device_that_is_not_there(zaber: ZaberBench) -> None:
-    with pytest.raises(DeviceTimeoutError, match=r"stage\.device"):
-        zaber.open(device=7, reply_timeout_s=0.1)
+def test_address_that_nobody_has_names_those_that_answer(zaber: ZaberBench) -> None:
+    with pytest.raises(ProtocolError, match=r"device 7 doesn't answer, but devices 1, 2 do; correct stage\.device"):
+        zaber.open(device=7, reply_timeout_s=0.3)
+
+
+def test_nobody_answers(zaber: ZaberBench) -> None:
+    zaber.line.silent = True
+    with pytest.raises(DeviceTimeoutError, match=r"no answer .* check power, cable, stage\.device"):
+        zaber.open(reply_timeout_s=0.1)
+
+
+def test_two_devices_with_one_address_are_refused_before_both_move(zaber: ZaberBench) -> None:
+    zaber.chain.devices[1].address = 1
+    zaber.chain.devices[1].settings["system.serial"] = "100236"
+    with pytest.raises(ProtocolError, match=r"2 devices answer as device 1 .*100235, 100236.*renumber"):
+        zaber.open()
+    assert b"home" not in zaber.line.sent
+
+
+def test_number_that_noise_changed_is_asked_for_again(zaber: ZaberBench) -> None:
+    answers = iter(range(100))
+    zaber.chain.change_reply = lambda reply: (
+        reply.replace(b"6000000", b"600000") if b"6000000" in reply and next(answers) == 0 else reply
+    )
+    assert zaber.open().limits_mm() == (0, 3000)
+
+
+def test_power_cut_on_the_way_is_no_arrival(zaber: ZaberBench, in_background: InBackground) -> None:
+    stage = zaber.homed()
+    zaber.slow()
+    moving = in_background(lambda: stage.move_to_mm(1000))
+    zaber.wait_until(lambda: zaber.device.busy)
+    with zaber.line.lock:
+        zaber.device.power_on()
+    error = moving.ended()
+    assert isinstance(error, PositionLostError)
+    assert "restarted while moving to 1000 mm" in str(error)
+
+
+def test_another_programs_command_on_the_way_is_told_from_a_stop(
+    zaber: ZaberBench, in_background: InBackground
+) -> None:
+    stage = zaber.homed()
+    zaber.slow()
+    moving = in_background(lambda: stage.move_to_mm(1000))
+    zaber.wait_until(lambda: zaber.device.busy)
+    with zaber.line.lock:
+        zaber.device.answer(1, "stop")
+    error = moving.ended()
+    assert isinstance(error, StoppedError)
+    assert "interrupted by another program or its knob" in str(error)
 
 
 def test_answer_from_another_address(zaber: ZaberBench) -> None:
@@ -243,6 +377,27 @@ def test_garbled_reply_with_a_checksum_is_asked_again(zaber: ZaberBench) -> None
     count = iter(range(10**6))
     zaber.chain.change_reply = lambda reply: reply.replace(b" OK", b" OJ") if next(count) % 4 == 1 else reply
     assert stage.move_to_mm(100) == 100
+
+
+@pytest.mark.parametrize("in_replies", ["0", "1"])
+def test_warning_at_the_end_of_a_reply_in_several_messages_is_seen(zaber: ZaberBench, in_replies: str) -> None:
+    stage = zaber.homed()
+    zaber.device.settings["comm.checksum"] = in_replies
+    zaber.chain.longest_data = 6
+    zaber.device.flags = {"WL", "WR", "NI", "WS", "WT"}
+    assert not stage.homed()
+    zaber.device.flags -= {"WL", "WR"}
+    assert stage.homed()
+    assert stage.move_to_mm(100) == 100
+
+
+def test_list_of_warnings_that_lost_one_is_not_believed(zaber: ZaberBench) -> None:
+    stage = zaber.homed()
+    zaber.device.flags = {"WR"}
+    zaber.chain.change_reply = lambda reply: reply.replace(b"01 WR", b"01 ")
+    with pytest.raises(ProtocolError, match="list of warnings is damaged"):
+        stage.move_to_mm(100)
+    assert not stage.homed()
 
 
 def test_garbage_only(zaber: ZaberBench) -> None:
@@ -324,8 +479,7 @@ def test_stop_while_homing(zaber: ZaberBench, in_background: InBackground) -> No
 
 @pytest.mark.parametrize(
     "changes",
-    [{"microstep_mm": 0.0}, {"device": 0}, {"axis": 12}, {"limits_mm": (5.0, 5.0)}, {"limits_mm": (9e4, 9e5)},
-     {"speed_mm_s": -1.0}],
+    [{"microstep_mm": 0.0}, {"device": 0}, {"axis": 12}, {"limits_mm": (5.0, 5.0)}, {"speed_mm_s": -1.0}],
 )  # fmt: skip
 def test_settings_that_cannot_be(zaber: ZaberBench, changes: dict[str, Any]) -> None:
     with pytest.raises(ConfigError, match=r"stage\."):

@@ -54,6 +54,15 @@ def test_rejections_carry_their_reason(vendor) -> None:
         assert caught.value.details.response_data == reason
 
 
+@pytest.mark.parametrize("in_replies", ["0", "1"])
+def test_replies_in_several_messages_are_put_together_by_the_vendor(chain: ZaberChain, vendor, in_replies: str) -> None:
+    chain.devices[0].flags = {"FS", "WS", "WM", "WV", "WT", "WR"}
+    chain.devices[0].settings["comm.checksum"] = in_replies
+    chain.longest_data = 8
+    reply = vendor.generic_command("warnings", device=1, axis=1)
+    assert set(reply.data.split()) == {"06", "FS", "WS", "WM", "WV", "WT", "WR"}
+
+
 def test_the_vendor_homes_moves_and_reads_warnings(chain: ZaberChain, vendor) -> None:
     axis = vendor.get_device(1).get_axis(1)
     assert axis.warnings.get_flags() == {"WR"}

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 import rawpy
 
-from rigs.errors import CameraError, LimitError, NotHomedError, PanelError, SettingError
+from rigs.errors import CameraError, ConfigError, LimitError, NotHomedError, PanelError, SettingError
 from rigs.protocols import Camera, Exposure, Panel, Pattern, Stage
+from rigs.simulated.devices import SimulatedStage
 from rigs.simulated.rig import SimulatedRig, make_rig
 from rigs.simulated.scenes import plane_scene
 from rigs.simulated.sensor import bayer
@@ -62,6 +63,17 @@ def test_limits_are_checked_before_anything_moves() -> None:
     with pytest.raises(LimitError, match="travel"):
         rig.stage.move_to_mm(3001)
     assert rig.stage.position_mm() == 1000
+
+
+def test_limits_of_rig_yaml_narrow_the_simulated_travel_and_never_widen_it() -> None:
+    world = make_rig().world
+    stage = SimulatedStage(world, (100.0, 2000.0))
+    stage.home()
+    assert stage.limits_mm() == (100.0, 2000.0)
+    with pytest.raises(LimitError, match="100 to 2000 mm"):
+        stage.move_to_mm(50)
+    with pytest.raises(ConfigError, match="beyond the simulated rail"):
+        SimulatedStage(world, (-10.0, 2000.0))
 
 
 def test_the_stage_has_a_hidden_zero_and_scatters_by_its_repeatability() -> None:

@@ -10,7 +10,7 @@ import workbench.doctor
 PAGE = Path(__file__).parents[3] / "docs" / "reference" / "doctor.md"
 MADE = re.compile(r'\b(PROJECT|COMPUTER|CAMERA|STAGE|PANEL)\.(ok|note|warning|error|failure)\(\s*"([a-z -]+)"')
 WORD = re.compile(r"\b(ok|note|warning|error)\b")
-FROM_THE_CONTROLLER = {("stage.last-alarm", "note"), ("stage.limit-switch", "note"), ("stage.motors", "note")}
+FROM_THE_CONTROLLER = {(f"stage.{remark}", "note") for remark in ("last-alarm", "limit-switch", "motors", "warning")}
 
 
 def test_every_finding_is_documented_with_its_severities() -> None:

@@ -61,9 +61,8 @@ def test_without_homing_only_rig_yaml_knows_the_travel() -> None:
 
 def test_limits_of_rig_yaml_are_held_against_the_controllers() -> None:
     beyond = findings(FACTS, limits=["-3100 mm", "0 mm"])
-    assert {name: finding.severity.word for name, finding in beyond.items() if finding.severity} == {
-        "limits": "warning"
-    }
+    assert {name: finding.severity.word for name, finding in beyond.items() if finding.severity} == {"limits": "error"}
+    assert "limits" not in findings(FACTS, limits=["-2995.01 mm", "0 mm"])
     positive = findings(FACTS, limits=["10 mm", "2900 mm"])
     assert positive["travel"].severity.word == "error"
     assert "counts below zero" in positive["travel"].mend
