@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy import ndimage
 
 from calibration.bank import Bank
 from calibration.pupil import fit_pupil
@@ -186,18 +187,16 @@ def test_near_object_whose_mirror_is_beyond_reach_keeps_its_depth(bank: Bank, se
     assert abs(found.depth_mm - 780.0) < 15.0
 
 
-@pytest.mark.parametrize("turn", [0.0, 35.0])
-def test_texture_of_one_direction_does_not_pass_for_a_large_blur(bank: Bank, turn: float) -> None:
-    """Wood grain and planks: all power lies within a few frequencies of one line."""
-    generator = np.random.default_rng(31)
-    side = SIDE + 64 + 100
-    y, x = np.mgrid[:side, :side] - side / 2
-    along = x * np.sin(np.deg2rad(turn)) + y * np.cos(np.deg2rad(turn)) + side
-    lines = np.repeat(generator.uniform(0.2, 0.7, side), 9)[np.clip(along.astype(int), 0, None)]
-    image = photograph(lines, 1250.0)
+@pytest.mark.parametrize("seed", [31, 32, 33, 34])
+def test_wood_grain_does_not_pass_for_a_large_blur(bank: Bank, seed: int) -> None:
+    """Nearly all of its power lies within a few frequencies of one line."""
+    generator = np.random.default_rng(seed)
+    side = SIDE + 164
+    grain = ndimage.gaussian_filter(generator.standard_normal((side, side)), (1.0, 30.0))
+    planks = np.repeat(generator.uniform(-0.1, 0.1, side), 60)[:side, np.newaxis]
+    image = photograph(0.4 + 0.05 * grain / grain.std() + planks, 1100.0)
     found = estimate_evidence(image, bank, whole(image.shape))[1]
-    assert found.interval_mm[0] <= 1250.0 <= found.interval_mm[1]
-    assert abs(found.depth_mm - 1250.0) < 60.0 or found.status == "ambiguous"
+    assert found.interval_mm[0] <= 1100.0 <= found.interval_mm[1]
 
 
 @pytest.mark.parametrize(
