@@ -17,14 +17,14 @@ from workbench.depth.evidence_windows import Pooled, Window, pooled_periodogram
 
 _LEAST_WINDOWS, _MOST_WINDOWS = 9, 80
 """Three by three half-overlapping windows: fewer are no four parts. More than so many say nothing new."""
-_FEWEST_PARTS, _MOST_PARTS, _WINDOWS_A_PART = 4, 16, 5
+_FEWEST_PARTS, _MOST_PARTS, _WINDOWS_A_PART = 4, 8, 5
 """As many parts as there are windows for: an object that fills a corner of a region is then a part of its own."""
 _CHANCE = 1.0
 """Log-likelihood that a part may lose by chance."""
 _FOCUS_PX, _FOCUS_TRUST = 1.0, 0.1
 """A part that holds little but one strong edge near its border is put in focus by what the taper's slope makes of it:
 parts that claim to be in focus count for less."""
-_EVERY_ROW = 3
+_EVERY_ROW = 4
 _MOST_AVERAGES = 12.0
 """Parts count for no more than this: a tolerance for what differs over the field, not a test of the lens."""
 _SAME_PX, _SAME_SHARE = 2.0, 0.05
