@@ -31,9 +31,11 @@ _SLOPE, _SLOPE_SD = -2.4, 0.8
 _BEND_SD = 0.8
 """Expected change of that slope from knot to knot, times the knots' distance."""
 _DIRECTION_SD = 0.8
-_RIDGE_WIDTH, _RIDGE_SD = 0.012, 2.0
+_RIDGE_WIDTH, _RIDGE_SD, _NO_RIDGE_SD = 0.012, 2.0, 0.01
 """Width (cycles per pixel) of a ridge of power along the texture's axis or across it, and how steeply it may fall off:
-wood grain, planks and shelves hold all of their power within a few frequencies of one line through the origin."""
+wood grain, planks and shelves hold nearly all of their power within a few frequencies of one line through the origin."""
+_COHERENT = 0.5
+"""Coherence of the gradients' directions from which on there are ridges: charts, photographs and brick have 0 to 0.46."""
 _LOW, _STEP, _CELLS = -12.0, 0.125, 256
 """The likelihood is tabulated over log(I/n) and log(S k/n)."""
 _LEAST_LOG = -60.0
@@ -110,13 +112,17 @@ def basis(modulus: FloatArray, direction: FloatArray, axis: float) -> FloatArray
     return np.concatenate([hats, np.stack(turns + ridges, axis=1)], axis=1)
 
 
-def _axis(power: FloatArray, modulus: FloatArray, direction: FloatArray) -> float:
-    """Direction (rad) of most of the gradients' power: the structure tensor's, taken in the frequency plane."""
+def _axis(power: FloatArray, modulus: FloatArray, direction: FloatArray) -> tuple[float, float]:
+    """Direction (rad) of most of the gradients' power, and how far it prevails (0 to 1: the tensor's coherence).
+
+    The structure tensor of Bigun and Granlund (1987), taken in the frequency plane.
+    """
     weight = np.maximum(power - np.percentile(power, 25), 0.0) * modulus**2
-    return 0.5 * float(np.arctan2((weight * np.sin(2 * direction)).sum(), (weight * np.cos(2 * direction)).sum()))
+    turn = complex((weight * np.exp(2j * direction)).sum())
+    return 0.5 * float(np.angle(turn)), abs(turn) / max(float(weight.sum()), 1e-30)
 
 
-def _prior(width: int) -> tuple[FloatArray, FloatArray]:
+def _prior(width: int, ridge_sd: float) -> tuple[FloatArray, FloatArray]:
     """Precision and precision times mean of the Gaussian prior on the basis's coefficients."""
     knots = _KNOTS.size
     rows, values = [], []
@@ -131,7 +137,7 @@ def _prior(width: int) -> tuple[FloatArray, FloatArray]:
         values.append(0.0)
     for j in range(knots, width):
         turn = np.zeros(width)
-        turn[j] = 1.0 / (_DIRECTION_SD if j < width - 2 else _RIDGE_SD)
+        turn[j] = 1.0 / (_DIRECTION_SD if j < width - 2 else ridge_sd)
         rows.append(turn)
         values.append(0.0)
     design, target = np.array(rows), np.array(values)
@@ -272,13 +278,14 @@ def fit_spectra(
     factor = factor or TextureFactor()
     size = power.shape[0]
     modulus, direction, used = frequencies(size)
-    axis = _axis(power[used], modulus[used], direction[used])
+    axis, coherence = _axis(power[used], modulus[used], direction[used])
     terms = basis(modulus[used], direction[used], axis)
     log_power = np.log(np.maximum(power[used], 1e-16)).astype(np.float32)
     log_expected = np.log(np.maximum(expected[:, used], 1e-9)).astype(np.float32)
     worth = min(_AVERAGES, key=lambda a: abs(np.log(a / max(averages, 1.0))))
     tables = _tables(worth, factor.spread, factor.wide_share, factor.wide_spread)
-    precision, pull = _prior(terms.shape[1])
+    # ridges where one direction prevails only: elsewhere they lead the few scoring steps astray
+    precision, pull = _prior(terms.shape[1], _RIDGE_SD if coherence > _COHERENT else _NO_RIDGE_SD)
     # the lowest tenth is noise, or less than texture: single periodograms scatter far below their mean
     noise = float(np.log(max(float(np.percentile(power[used], 10)), 1e-16) / (0.3 if worth < 4 else 1.0)))
     arguments = (np.ascontiguousarray(terms.T, np.float32), precision, pull)

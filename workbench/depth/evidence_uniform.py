@@ -17,14 +17,12 @@ from workbench.depth.evidence_windows import Pooled, Window, pooled_periodogram
 
 _LEAST_WINDOWS, _MOST_WINDOWS = 9, 80
 """Three by three half-overlapping windows: fewer are no four parts. More than so many say nothing new."""
-_FEWEST_PARTS, _MOST_PARTS, _WINDOWS_A_PART = 4, 8, 5
-"""As many parts as there are windows for: an object that fills a corner of a region is then a part of its own."""
 _CHANCE = 1.0
 """Log-likelihood that a part may lose by chance."""
 _FOCUS_PX, _FOCUS_TRUST = 1.0, 0.1
 """A part that holds little but one strong edge near its border is put in focus by what the taper's slope makes of it:
 parts that claim to be in focus count for less."""
-_EVERY_ROW = 4
+_EVERY_ROW = 3
 _MOST_AVERAGES = 12.0
 """Parts count for no more than this: a tolerance for what differs over the field, not a test of the lens."""
 _SAME_PX, _SAME_SHARE = 2.0, 0.05
@@ -52,7 +50,7 @@ def mixture_gain(
 def parts_loss(
     plane: NDArray[np.float32], windows: Sequence[Window], model: DepthModel, options: EvidenceOptions
 ) -> float:
-    """Log-likelihood that a region's parts lose when they share one blur, to two pixels and 5 % of its radius.
+    """Log-likelihood that a region's quarters lose when they share one blur, to two pixels and 5 % of its radius.
 
     Parameters
     ----------
@@ -73,7 +71,7 @@ def parts_loss(
     rows = slice(None, None, _EVERY_ROW)
     radius = np.abs(model.row_radius_px[rows])
     curves = []
-    for part in _parts(windows):
+    for part in _quarters(windows):
         pooled = pooled_periodogram(plane, part, model.kernel_lags.shape[1] // 2)
         expected = smeared_power(model.kernel_lags[rows], pooled.taper_lags, pooled.power.shape[0])
         fit = fit_spectra(pooled.power, min(_MOST_AVERAGES, pooled.trusted), expected, factor=options.factor)
@@ -85,19 +83,14 @@ def parts_loss(
     return float(np.where(radius[each.argmax(axis=1)] < _FOCUS_PX, _FOCUS_TRUST, 1.0) @ lost)
 
 
-def _parts(windows: Sequence[Window]) -> list[list[Window]]:
-    """Halves of halves, each cut across the longer side of where its windows lie; thinned out evenly."""
+def _quarters(windows: Sequence[Window]) -> list[list[Window]]:
+    """Upper and lower half of the windows, each in a left and a right one, thinned out evenly."""
+    by_row = sorted(windows, key=lambda w: (w.row, w.column))
+    middle = (len(by_row) + 1) // 2
+    parts = []
+    for half in (by_row[:middle], by_row[middle:]):
+        by_column = sorted(half, key=lambda w: (w.column, w.row))
+        middle = (len(by_column) + 1) // 2
+        parts += [by_column[:middle], by_column[middle:]]
     every = -(-len(windows) // _MOST_WINDOWS)
-    wanted = max(_FEWEST_PARTS, min(_MOST_PARTS, len(windows) // _WINDOWS_A_PART))
-    parts = [list(windows)]
-    while 2 * len(parts) <= wanted:
-        parts = [half for part in parts for half in _halves(part)]
     return [part[::every] for part in parts]
-
-
-def _halves(windows: Sequence[Window]) -> tuple[list[Window], list[Window]]:
-    rows, columns = ([getattr(w, axis) for w in windows] for axis in ("row", "column"))
-    along_rows = max(rows) - min(rows) >= max(columns) - min(columns)
-    ordered = sorted(windows, key=lambda w: (w.row, w.column) if along_rows else (w.column, w.row))
-    middle = (len(ordered) + 1) // 2
-    return ordered[:middle], ordered[middle:]
