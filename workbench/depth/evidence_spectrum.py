@@ -35,7 +35,7 @@ _RIDGE_WIDTH, _RIDGE_SD, _NO_RIDGE_SD = 0.012, 2.0, 0.01
 """Width (cycles per pixel) of a ridge of power along the texture's axis or across it, and how steeply it may fall off.
 Wood grain, planks and shelves hold nearly all of their power within a few frequencies of a line through the origin."""
 _COHERENT = 0.5
-"""Coherence of the gradients' directions from which on there are ridges. Charts, photographs and brick have at most 0.46."""
+"""Coherence of the gradients' directions from which on there are ridges; charts, photographs and brick have less."""
 _LOW, _STEP, _CELLS = -12.0, 0.125, 256
 """The likelihood is tabulated over log(I/n) and log(S k/n)."""
 _LEAST_LOG = -60.0
