@@ -100,14 +100,14 @@ def unless_beyond_reach(
     if not np.isfinite(estimate.depth_mm):
         return estimate
     sigma = model.psfs.radius_px(estimate.depth_mm)
-    if model.sigma_px[0] <= -sigma <= model.sigma_px[-1] or -sigma >= _FARTHEST * model.psfs.radius_px(1e12):
+    farthest = _FARTHEST * model.psfs.radius_px(1e12)
+    if model.sigma_px[0] <= -sigma <= model.sigma_px[-1] or -sigma >= farthest:
         return estimate
     nearest = int(np.abs(np.abs(model.row_radius_px[list(modes)]) - abs(sigma)).argmin())
     against = float(far_odds[nearest]) * (1.0 if sigma < 0 else -1.0) - _OUT_OF_REACH
     if against < 0:
         return estimate
     mirror = model.depth_mm(-sigma)
-    farthest = _FARTHEST * model.psfs.radius_px(1e12)
     mirrored = [model.depth_mm(min(-model.psfs.radius_px(end), farthest)) for end in estimate.interval_mm]
     held = (min(*estimate.interval_mm, *mirrored), max(*estimate.interval_mm, *mirrored))
     where = "last" if sigma < 0 else "first"

@@ -153,14 +153,13 @@ def estimate_depths(
         See :func:`make_options`.
     """
     found, options = make_options(method, settings)
-    estimates: dict[int, DepthEstimate] = {}
     if len(bank.field_yx) == 1:
-        estimates = found.estimate(image, bank, labels, options)
-    else:
-        for label in np.unique(labels[labels > 0]):
-            mask = labels == label
-            here = bank_at(bank, region_place(mask))
-            estimates |= found.estimate(image, here, np.where(mask, labels, 0).astype(np.int32), options)
+        return found.estimate(image, bank, labels, options)
+    estimates: dict[int, DepthEstimate] = {}
+    for label in np.unique(labels[labels > 0]):
+        mask = labels == label
+        here = bank_at(bank, region_place(mask))
+        estimates |= found.estimate(image, here, np.where(mask, labels, 0).astype(np.int32), options)
     return estimates
 
 
