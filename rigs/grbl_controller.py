@@ -450,6 +450,11 @@ class GrblController:
                 f"stage: the answer to {line!r} was garbled or cut off while {doing} ({noise[-1][:60]!r}); "
                 "check cable, ground and baud rate, then try again"
             )
+        if isinstance(report := self._fresh_report(), Status):
+            return DeviceTimeoutError(
+                f"stage: the controller reports {report.state}, but doesn't answer {line!r} while {doing}: it may be "
+                "waiting out a pause (G4) of another program; end that program or reset the controller, then home"
+            )
         return DeviceTimeoutError(
             f"stage: no answer to {line!r} in time while {doing}; check power and cable, switch the controller off and "
             "on, then home"

@@ -44,6 +44,14 @@ def test_controller_that_protects_nothing_is_told_rather_than_refused(grbl: Grbl
     assert facts.remarks == ()
 
 
+def test_pause_of_another_program_is_told_apart_from_a_dead_line(grbl: GrblBench) -> None:
+    grbl.homed().close()
+    grbl.forget_sent()
+    grbl.firmware.receive(b"G4 P600\n")
+    with pytest.raises(DeviceTimeoutError, match=r"reports Idle, but doesn't answer '\$.*' .*pause \(G4\)"):
+        look(grbl)
+
+
 def test_alarm_that_nothing_but_power_ends(grbl: GrblBench) -> None:
     with grbl.line.lock:
         grbl.firmware.settings[22] = 0
