@@ -144,7 +144,9 @@ def test_calibration_through_all_real_drivers_equals_the_simulated_one(
         room.position_mm = lambda: firmware.rail.carriage_mm - PARKED_MM
         room.pattern = tablet.pattern
         room.look_through_every_shutter(monkeypatch)
-        bank = done("-C", project, "calibrate", *DEPTHS, "--repeats", "1", "--json").only
+        transcript = done("-C", project, "calibrate", *DEPTHS, "--repeats", "1")
+    print(transcript.err + transcript.out)  # docs/reference/real-rig-transcript.md shows it: pytest -rP
+    bank = done("-C", project, "bank", "show", "--json").only
     assert_as_good(bank, simulated)
     assert firmware.machine_mm == pytest.approx(2800 - OFFSET_MM, abs=0.02)
     said = records(project, "started")[0]["devices"]
