@@ -12,7 +12,7 @@ from scipy import ndimage
 from calibration.errors import PointError
 from calibration.image import FrameInfo, LinearImage
 from calibration.optics import image_distance_mm
-from calibration.points import find_points
+from calibration.points import find_points, remove_hot_pixels
 from rigs.align_feed import AlignSample
 from rigs.protocols import Exposure
 
@@ -60,10 +60,11 @@ def look(image: LinearImage, exposure: Exposure | None) -> AlignSample:
     """
     height, width = image.shape
     exposure_s, iso = (exposure.time_s, exposure.iso) if exposure else (None, None)
-    saturated = int(image.saturated.sum())
+    saturated = 0  # a point that can be measured isn't: what is at white then is a hot pixel
     try:
         point = find_points(image)[0]
     except PointError as error:
+        saturated = int((image.saturated & ~remove_hot_pixels(image.planes)[1]).sum())
         light = _brightest_blob(image) if error.reason in ("saturated", "clipped", "doubled") else None
         if light is None:
             return AlignSample(

@@ -50,6 +50,17 @@ def test_saturated_point_is_still_located_and_says_what_to_do() -> None:
     assert "shorten the exposure" in sample.note
 
 
+def test_hot_pixels_are_no_saturated_point() -> None:
+    image = frame(disc(120.0, 100.0, 12.0))
+    image.planes[[30, 101], [40, 118], 0] = 1.0
+    image.saturated[[30, 101], [40, 118]] = True
+    sample = look(image, None)
+    assert (sample.saturated_px, sample.note) == (0, "")
+    image.planes[80:120, 100:140] = 0.0
+    image.saturated[101, 118] = False
+    assert look(image, None).saturated_px == 0
+
+
 def test_dark_frame_has_no_point_and_says_so() -> None:
     sample = look(frame(np.zeros(SHAPE)), None)
     assert sample.centroid_px is None
