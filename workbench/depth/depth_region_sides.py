@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.special import log_expit
 
 from workbench.depth.evidence_model import DepthModel, Learned
-from workbench.depth.evidence_side import sparseness_by_window
+from workbench.depth.evidence_side import favour_by_window
 from workbench.depth.evidence_spectrum import fit_spectra, smeared_power
 from workbench.depth.evidence_windows import Window, pooled_periodogram
 
@@ -69,7 +69,7 @@ def side_likelihoods(
         fit = fit_spectra(pooled.power, max(1.0, 0.7 * pooled.averages), expected)
         size = (model.kernel_lags.shape[1] + 1) // 2
         psfs = [model.psfs.psf_at(model.depth_mm(sign * radius), size) for sign in (1.0, -1.0)]
-        sparse = sparseness_by_window(plane, everywhere, own, psfs, fit.texture(0))
-        odds = overlap * (sparse[:, 1] - sparse[:, 0]) @ np.array(learned.side_weights)
+        favour = favour_by_window(plane, everywhere, own, psfs, fit.texture(0))
+        odds = overlap * favour @ np.array(learned.side_weights)
         result[cells] = np.stack([log_expit(odds), log_expit(-odds)], axis=1)
     return result

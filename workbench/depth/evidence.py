@@ -30,7 +30,7 @@ from workbench.depth.evidence_posterior import (
     signed_posterior,
     summarise,
 )
-from workbench.depth.evidence_side import sparseness
+from workbench.depth.evidence_side import Comparison, compare
 from workbench.depth.evidence_spectrum import (
     SpectralFit,
     fit_spectra,
@@ -51,11 +51,11 @@ from workbench.depth.evidence_windows import (
 __all__ = [
     "DepthModel",
     "EvidenceOptions",
+    "compare_sides",
     "estimate_evidence",
     "measure_region",
     "observe",
     "prepare",
-    "side_features",
 ]
 
 FloatArray = NDArray[np.float64]
@@ -214,10 +214,10 @@ def _line_share(power: FloatArray, expected: NDArray[np.float32], fit: SpectralF
     return float(ratio[-max(1, ratio.size // 100) :].sum() / ratio.sum())
 
 
-def side_features(
+def compare_sides(
     plane: NDArray[np.float32], seen: Observation, row: int, model: DepthModel, options: EvidenceOptions
-) -> FloatArray:
-    """Sparseness of the far and the near side's restoration per filter family; float64 (2, F)."""
+) -> Comparison:
+    """How sparse the far and the near side's restorations are at one row's radius."""
     radius = abs(float(model.row_radius_px[row]))
     size = int((model.kernel_lags.shape[1] + 1) // 2)
     psfs = []
@@ -228,13 +228,12 @@ def side_features(
             psfs.append(psfs[0][::-1, ::-1] if psfs else model.psfs.psf_at(model.depth_mm(-radius), size)[::-1, ::-1])
     good = [w for w in seen.windows if w.weight >= 0.6 * seen.windows[0].weight]
     chosen = good[:: max(1, len(good) // options.side_windows)][: options.side_windows]
-    sparse = sparseness(plane, seen.soft, chosen, psfs, seen.fit.texture(row))
+    clue = compare(plane, seen.soft, chosen, psfs, seen.fit.texture(row))
     # next to focus the lens's own spot hides the aperture's shape, and with it the side
     shown = -np.expm1(-((radius / _SHAPELESS_PX) ** 2))
     # near the edge a restoration lacks what the blur carried out of the region
     trust = min(1.0, _EDGE_TRUST + clear_share(seen.clear, chosen, 2.0 * radius))
-    middle = sparse.mean(axis=0)
-    return np.asarray(middle + shown * trust * (sparse - middle))
+    return Comparison(clue.sparse, shown * trust * clue.favour)
 
 
 def measure_region(
@@ -281,8 +280,8 @@ def _conclude(
 ) -> DepthEstimate:
     likelihood = seen.fit.log_likelihood
     modes = find_modes(likelihood, model.row_radius_px)
-    sparse = np.stack([side_features(plane, seen, row, model, options) for row in modes])
-    far, near = mode_scores(sparse, np.asarray(model.sides_in_reach[modes].all(axis=1)), seen.pixels, learned)
+    clues = [compare_sides(plane, seen, row, model, options) for row in modes]
+    far, near = mode_scores(clues, np.asarray(model.sides_in_reach[modes].all(axis=1)), seen.pixels, learned)
     best = float(likelihood[modes].max())
     refined = [
         refine(seen, row, model, options)
@@ -302,4 +301,4 @@ def _conclude(
     if seen.varied > options.varied_log_likelihood or seen.parted > options.parts_log_likelihood:
         return doubted(estimate, "its blur is not the same all over: a slanted surface, or several depths")
     estimate = unless_another_blur_fits(estimate, likelihood, modes, (far, near), model, options)
-    return unless_beyond_reach(estimate, modes, side_odds(sparse, seen.pixels, learned), model)
+    return unless_beyond_reach(estimate, modes, side_odds(clues, learned), model)

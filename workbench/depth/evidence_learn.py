@@ -18,10 +18,10 @@ from scipy.optimize import minimize
 from scipy.special import logsumexp
 
 from calibration.bank import Bank
-from workbench.depth.evidence import observe, side_features
+from workbench.depth.evidence import compare_sides, observe
 from workbench.depth.evidence_model import LEARNED, DepthModel, EvidenceOptions, Learned, prepare
 from workbench.depth.evidence_posterior import find_modes, mode_scores
-from workbench.depth.evidence_side import FAMILIES
+from workbench.depth.evidence_side import FAMILIES, STATISTICS, Comparison
 from workbench.depth.evidence_textures import random_texture
 
 FloatArray = NDArray[np.float64]
@@ -40,8 +40,8 @@ class _Sample:
 
     likelihood: FloatArray
     """(M,) spectral log-likelihood of each mode, before tempering."""
-    sparse: FloatArray
-    """(M, 2, F)"""
+    clues: list[Comparison]
+    """Of each mode."""
     possible: NDArray[np.bool_]
     """(M, 2): sides (far, near) within the bank's reach."""
     pixels: float
@@ -83,16 +83,16 @@ def learn(bank: Bank, seed: int = 0, samples: int = SAMPLES) -> dict[str, NDArra
 def fit_weights(samples: list[_Sample]) -> Learned:
     """Most probable weights given the samples and the defaults."""
     start = Learned()
-    units = np.array([np.log(2.0), *[10.0] * (2 * len(FAMILIES))])
+    units = np.array([np.log(2.0), *[0.2] * len(STATISTICS), *[10.0] * len(FAMILIES)])
 
     def unpack(p: FloatArray) -> Learned:
         change = p * units
-        families = len(FAMILIES)
+        sides = 1 + len(STATISTICS)
         return replace(
             start,
             temperature=float(start.temperature * np.exp(change[0])),
-            side_weights=tuple((np.array(start.side_weights) + change[1 : 1 + families]).tolist()),
-            mode_weights=tuple((np.array(start.mode_weights) + change[1 + families :]).tolist()),
+            side_weights=tuple((np.array(start.side_weights) + change[1:sides]).tolist()),
+            mode_weights=tuple((np.array(start.mode_weights) + change[sides:]).tolist()),
         )
 
     def loss(p: FloatArray) -> float:
@@ -111,7 +111,7 @@ def fit_weights(samples: list[_Sample]) -> Learned:
 
 def candidate_scores(sample: _Sample, learned: Learned) -> FloatArray:
     """Log-likelihood of each candidate, float64 (M, 2) for far and near; -inf where the bank doesn't reach."""
-    far, near = mode_scores(sample.sparse, np.asarray(sample.possible.all(axis=1)), sample.pixels, learned)
+    far, near = mode_scores(sample.clues, np.asarray(sample.possible.all(axis=1)), sample.pixels, learned)
     scores = learned.temperature * sample.likelihood[:, np.newaxis] + np.stack([far, near], axis=1)
     return np.where(sample.possible, scores, -np.inf)
 
@@ -148,13 +148,13 @@ def _draw(bank: Bank, model: DepthModel, options: EvidenceOptions, generator: np
     peak = int(close[likelihood[close].argmax()])
     if not any(abs(radius[m] - abs(sigma)) < tolerance for m in modes):
         modes.append(peak)
-    sparse = np.stack([side_features(plane, seen, row, model, options) for row in modes])
+    clues = [compare_sides(plane, seen, row, model, options) for row in modes]
     at_radius = np.abs(radius[modes] - abs(sigma)) < tolerance
     both = abs(sigma) < tolerance  # at focus either side is right
     true = np.stack([at_radius & (both or sigma > 0), at_radius & (both or sigma < 0)], axis=1)
     possible = model.sides_in_reach[modes]
     error, curvature = _peak(likelihood, radius, peak)
-    return _Sample(likelihood[modes], sparse, possible, seen.pixels, true & possible, error - abs(sigma), curvature)
+    return _Sample(likelihood[modes], clues, possible, seen.pixels, true & possible, error - abs(sigma), curvature)
 
 
 def _peak(likelihood: FloatArray, radius: FloatArray, row: int) -> tuple[float, float]:

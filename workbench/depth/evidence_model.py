@@ -10,14 +10,14 @@ from scipy import fft
 
 from calibration.bank import Bank
 from calibration.pupil import PsfModel, PupilModel, psf_model
-from workbench.depth.evidence_side import FAMILIES
+from workbench.depth.evidence_side import STATISTICS
 from workbench.depth.evidence_spectrum import TextureFactor
 from workbench.depth.options import require
 
 FloatArray = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-LEARNED = "evidence_learned"
+LEARNED = "evidence_learned_2"
 """Name of :class:`Learned` among a bank's extras."""
 
 
@@ -116,13 +116,13 @@ class Learned:
     temperature
         Factor on the spectral log-likelihood: its frequencies are neither independent nor quite as modelled.
     size_power
-        Sparseness counts in proportion to this power of the number of pixels over 128 x 128.
+        Sparseness counts for the radius in proportion to this power of the number of pixels over 128 x 128.
     floor_px
         Standard error of the radius that no evidence undercuts.
     outlier
         Probability that the whole reasoning fails.
     side_weights
-        Per filter family: log-odds of a side per unit of sparseness that it gains over the other.
+        Per filter family and order of the moment: log-odds of a side per standard error that it is sparser.
     mode_weights
         Per filter family: log-likelihood of a radius per unit of sparseness.
     """
@@ -131,8 +131,8 @@ class Learned:
     size_power: float = 0.25
     floor_px: float = 0.04
     outlier: float = 0.003
-    side_weights: tuple[float, ...] = (20.0, 30.0, 30.0, 5.0, 15.0, 10.0)
-    mode_weights: tuple[float, ...] = (10.0, 25.0, 0.0, 0.0, 40.0, 0.0)
+    side_weights: tuple[float, ...] = (0.5, 0.2, 0.4, 0.1, 0.3, 0.2, 0.4, 0.1)
+    mode_weights: tuple[float, ...] = (30.0, 10.0, 0.0, 50.0)
 
     def as_array(self) -> FloatArray:
         """Plain numbers, for a bank's extras."""
@@ -142,9 +142,9 @@ class Learned:
     @classmethod
     def from_array(cls, values: NDArray[np.floating]) -> Learned:
         """Inverse of :meth:`as_array`."""
-        numbers, families = [float(v) for v in values], len(FAMILIES)
+        numbers, statistics = [float(v) for v in values], len(STATISTICS)
         temperature, size_power, floor_px, outlier = numbers[:4]
-        weights = tuple(numbers[4 : 4 + families]), tuple(numbers[4 + families :])
+        weights = tuple(numbers[4 : 4 + statistics]), tuple(numbers[4 + statistics :])
         return cls(temperature, size_power, floor_px, outlier, *weights)
 
 

@@ -12,6 +12,7 @@ from scipy.special import expit
 
 from workbench.depth.estimate import DepthEstimate, Status
 from workbench.depth.evidence_model import DepthModel, EvidenceOptions, Learned
+from workbench.depth.evidence_side import Comparison
 
 FloatArray = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -26,34 +27,36 @@ _LINES_PX, _LINES_FROM = 0.45, 0.25
 of the texture's power that they hold beyond so much."""
 
 
-def mode_scores(sparse: FloatArray, mirrored: Mask, pixels: float, learned: Learned) -> tuple[FloatArray, FloatArray]:
-    """Log-likelihood that sparseness adds to each mode, on the far and on the near side.
+def mode_scores(
+    clues: Sequence[Comparison], mirrored: Mask, pixels: float, learned: Learned
+) -> tuple[FloatArray, FloatArray]:
+    """Log-likelihood that sparseness adds to each of M modes, on the far and on the near side; float64 (M,) each.
 
     Parameters
     ----------
-    sparse
-        float64 (M, 2, F): :func:`side_features` of each mode.
+    clues
+        How sparse each mode's restorations are, the far side's first.
     mirrored
         bool (M,): whether both sides are within the bank's reach. Twice the side's probability counts there: no gain
-        and no loss where the two restorations don't differ.
+        and no loss where the two restorations don't differ. What the mode's own sparseness says for its radius is the
+        same for both sides then, that of the likelier one.
     pixels
         Pixels' worth of information.
     learned
         Weights.
     """
-    odds = side_odds(sparse, pixels, learned)
-    own = -_scale(pixels, learned) * sparse @ np.array(learned.mode_weights)
-    far, near = (np.where(mirrored, np.log(2.0 * expit(sign * odds) + 1e-9), 0.0) for sign in (1.0, -1.0))
-    return far + own[:, 0], near + own[:, 1]
+    scale = float((pixels / 16384.0) ** learned.size_power)
+    own = np.stack([-scale * clue.sparse @ np.array(learned.mode_weights) for clue in clues])
+    odds = side_odds(clues, learned)
+    shared = own[:, 0] + expit(-odds) * (own[:, 1] - own[:, 0])
+    far, near = (np.where(mirrored, np.log(2.0 * expit(sign * odds) + 1e-9) + shared, own[:, side])
+                 for side, sign in enumerate((1.0, -1.0)))  # fmt: skip
+    return far, near
 
 
-def side_odds(sparse: FloatArray, pixels: float, learned: Learned) -> FloatArray:
-    """Log-odds of the far side against the near one at each mode, float64 (M,); arguments as in :func:`mode_scores`."""
-    return np.asarray(_scale(pixels, learned) * (sparse[:, 1] - sparse[:, 0]) @ np.array(learned.side_weights))
-
-
-def _scale(pixels: float, learned: Learned) -> float:
-    return float((pixels / 16384.0) ** learned.size_power)
+def side_odds(clues: Sequence[Comparison], learned: Learned) -> FloatArray:
+    """Log-odds of the far side against the near one at each mode, float64 (M,)."""
+    return np.asarray(np.stack([clue.favour for clue in clues]) @ np.array(learned.side_weights))
 
 
 def find_modes(
