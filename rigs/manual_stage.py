@@ -17,6 +17,8 @@ Ask = Callable[[str], str]
 
 _SECONDS_PER_MOVE = 30.0
 _TRIES = 3
+_SAME_MM = 1.0
+"""Two depths nearer to each other than this are one: nobody reads a tape measure better."""
 
 
 def _millimetres(text: str) -> float:
@@ -51,6 +53,8 @@ class ManualStage:
             raise ConfigError(f"stage.limits: {low:g} to {high:g} mm is no range; give the smaller one first")
         self._settings, self._ask = settings, ask
         self._position_mm: float | None = None
+        self._stood: dict[float, float] = {}
+        """Where it stood for each position that was asked for."""
 
     def identify(self) -> DeviceIdentity:
         """Kind only: there is no controller."""
@@ -108,9 +112,22 @@ class ManualStage:
                 low, high = map(self._settings.describe, self._settings.limits_mm)
                 question = f"{answer} isn't within {low} to {high}; press Enter for {asked}, or type where it stands: "
             else:
-                self._position_mm = stands_mm
+                if answer and self._stood_there_before(stands_mm, position_mm):
+                    question = (
+                        f"it stood at {answer} for another depth already; move it to {asked} and press Enter, "
+                        "or type where it stands: "
+                    )
+                    continue
+                self._position_mm = self._stood[position_mm] = stands_mm
                 return stands_mm
         raise StageError("stage: no usable answer; read the tape measure and answer again")
+
+    def _stood_there_before(self, stands_mm: float, asked_mm: float) -> bool:
+        return any(
+            abs(stood - stands_mm) < _SAME_MM
+            for other, stood in self._stood.items()
+            if abs(other - asked_mm) >= _SAME_MM
+        )
 
     def _check(self, position_mm: float) -> None:
         low, high = self._settings.limits_mm

@@ -55,6 +55,16 @@ def test_an_answer_out_of_range_is_asked_for_again() -> None:
     assert ManualStage(ManualSettings((0, 3000)), _answers("9999", "701")).move_to_mm(700.0) == 701.0
 
 
+def test_a_place_that_was_another_depths_already_is_asked_for_again() -> None:
+    stage = ManualStage(ManualSettings((0, 3000)), _answers("701", "701.5", "799", "701", "", "701", "701", "701"))
+    assert stage.move_to_mm(700.0) == 701.0
+    assert stage.move_to_mm(800.0) == 799.0  # 701.5 is where it stood for 700
+    assert stage.move_to_mm(700.0) == 701.0  # the same depth once more
+    assert stage.move_to_mm(900.0) == 900.0
+    with pytest.raises(StageError, match="no usable answer"):
+        stage.move_to_mm(1000.0)
+
+
 def test_without_anybody_to_answer_it_says_so() -> None:
     with pytest.raises(StageError, match="terminal"):
         ManualStage(ManualSettings((0, 3000)), _answers()).move_to_mm(1.0)
