@@ -126,9 +126,11 @@ class BrowserPanel:
             painted_after_s = time.monotonic() - started
         self._look_at_size((page.width_px, page.height_px))
         if (point := outside(pattern, page.width_px, page.height_px)) is not None:
+            grid = len(pattern.points_px) > 1
+            way_out = "turn it to landscape, take a larger one, or set calibration.field: [1, 1]" if grid else ""
             raise PanelError(
                 f"panel: a dot of {pattern.size_px:g} px at ({point[0]:g}, {point[1]:g}) isn't wholly on the panel of "
-                f"{page.width_px} x {page.height_px} px (origin at its centre); move it inwards"
+                f"{page.width_px} x {page.height_px} px (origin at its centre); {way_out or 'move it inwards'}"
             )
         time.sleep(self._settings.settle_s)
         return PanelAck(

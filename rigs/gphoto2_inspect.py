@@ -42,9 +42,9 @@ def facts_of(link: CameraLink) -> dict[str, str]:
     -------
     dict
         One entry for each of :data:`FACTS` (``absent`` where the camera doesn't say), and ``port``, ``identified_as``
-        (the model as the library knows it), ``image_formats`` and ``isos`` (those offered, separated by ``, ``),
-        ``exposure_times_s`` (the shortest and the longest offered), ``free_mb`` and ``free_images`` (of the card, where
-        there is one), ``library``. ``datetime`` is the camera's clock, ISO 8601.
+        (the model as the library knows it), ``image_formats``, ``apertures`` and ``isos`` (those offered, separated by
+        ``, ``), ``exposure_times_s`` (the shortest and the longest offered), ``free_mb`` and ``free_images`` (of the
+        card, where there is one), ``library``. ``datetime`` is the camera's clock, ISO 8601.
 
     Raises
     ------
@@ -56,6 +56,7 @@ def facts_of(link: CameraLink) -> dict[str, str]:
     if facts["datetime"].isdigit():
         facts["datetime"] = datetime.fromtimestamp(int(facts["datetime"])).isoformat(sep=" ")
     facts["image_formats"] = ", ".join(_offered(widgets, "image_format")) or ABSENT
+    facts["apertures"] = ", ".join(_offered(widgets, "aperture")) or ABSENT
     facts["isos"] = ", ".join(map(str, offered_isos(_offered(widgets, "iso")))) or ABSENT
     times = offered_times_s(_offered(widgets, "exposure_time"))
     facts["exposure_times_s"] = f"{times[0]:g} to {times[-1]:g}" if times else ABSENT

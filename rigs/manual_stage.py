@@ -110,7 +110,7 @@ class ManualStage:
                 question = f"{answer!r} is no length; press Enter for {asked}, or type where it stands: "
             except LimitError:
                 low, high = map(self._settings.describe, self._settings.limits_mm)
-                question = f"{answer} isn't within {low} to {high}; press Enter for {asked}, or type where it stands: "
+                question = f"{answer} isn't between {low} and {high}; press Enter for {asked}, or say where it stands: "
             else:
                 if answer and self._stood_there_before(stands_mm, position_mm):
                     question = (

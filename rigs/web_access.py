@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ipaddress
 import re
 import secrets
 from urllib.parse import parse_qs, urlsplit
@@ -10,7 +11,6 @@ from starlette.datastructures import Headers, MutableHeaders
 from starlette.responses import HTMLResponse
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-_LOOPBACK_NAMES = frozenset({"localhost", "127.0.0.1", "::1"})
 _PLAIN_HOST = re.compile(r"[A-Za-z0-9.\-]+(:\d+)?|\[[0-9A-Fa-f:]+\](:\d+)?")
 
 _REFUSAL = """<!doctype html>
@@ -24,6 +24,16 @@ _REFUSAL = """<!doctype html>
 </html>
 """
 """Dark without a style sheet: it may come up on a panel."""
+
+
+def is_loopback(host: str) -> bool:
+    """Whether an address can be reached from this computer only."""
+    if host == "localhost":
+        return True
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return False
 
 
 class AccessControl:
@@ -59,7 +69,7 @@ class AccessControl:
     def _refusal(self, scope: Scope, host: str, origin: str | None) -> str | None:
         if not _PLAIN_HOST.fullmatch(host):
             return "no proper Host header"
-        if self._loopback_only and urlsplit(f"//{host}").hostname not in _LOOPBACK_NAMES:
+        if self._loopback_only and not is_loopback(urlsplit(f"//{host}").hostname or ""):
             return "this address is for the workbench's own computer only"
         if origin is not None and urlsplit(origin).netloc != host:
             return "the request comes from a page of another origin"

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import errno
-import ipaddress
 import secrets
 import socket
 import threading
@@ -18,21 +17,11 @@ import uvicorn
 from starlette.types import ASGIApp
 
 from rigs.errors import ConfigError, DeviceBusyError, RigError
-from rigs.web_access import AccessControl
+from rigs.web_access import AccessControl, is_loopback
 
 _SHORTEST_TOKEN = 8
 _START_TIMEOUT_S = 10.0
 _STOP_TIMEOUT_S = 5.0
-
-
-def is_loopback(host: str) -> bool:
-    """Whether an address can be reached from this computer only."""
-    if host == "localhost":
-        return True
-    try:
-        return ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return False
 
 
 def effective_token(section: str, host: str, token: str) -> str:
@@ -164,7 +153,10 @@ def _listen(name: str, host: str, port: int, host_setting: str, port_setting: st
         family, kind, protocol, _, target = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
         listener = socket.socket(family, kind, protocol)
     except OSError as error:
-        raise ConfigError(f"{host_setting}: {host!r} is no address of this computer ({error.strerror})") from None
+        raise ConfigError(
+            f"{host_setting}: {host!r} is no address of this computer ({error.strerror}); "
+            "use 127.0.0.1, or 0.0.0.0 for the network"
+        ) from None
     try:
         listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         listener.bind(target)

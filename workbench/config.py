@@ -66,7 +66,7 @@ Speed = Annotated[float, BeforeValidator(_speed)]
 class Section(BaseModel):
     """A part of rig.yaml: immutable, and strict about its keys."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", populate_by_name=True, strict=False)
+    model_config = ConfigDict(frozen=True, extra="forbid", populate_by_name=True, strict=False, allow_inf_nan=False)
 
     @model_validator(mode="before")
     @classmethod
@@ -186,7 +186,7 @@ class StageConfig(Section):
 class DotConfig(Section):
     """The point source on the panel."""
 
-    size_px: Annotated[float, Field(gt=0)] | Literal["auto"] = Field("auto", alias="size")
+    size_px: Annotated[float, Field(gt=0, le=4000)] | Literal["auto"] = Field("auto", alias="size")
     """Diameter in panel pixels; auto: as large as its image may be without widening the PSF."""
     colour: str = Field("#ffffff", pattern=r"^#[0-9a-fA-F]{6}$")
 
@@ -246,13 +246,27 @@ class RigConfig(Section):
     @model_validator(mode="after")
     def _focus_beyond_focal_length(self) -> RigConfig:
         nearest = 2.0 * self.optics.focal_length_mm  # nearer than that an image is larger than life
-        for key, focus_mm in (("optics", self.optics.focus_mm), ("simulation", self.simulation.focus_mm)):
+        simulated_mm = self.simulation.focus_mm if self.camera.kind == "simulated" else None
+        for key, focus_mm in (("optics", self.optics.focus_mm), ("simulation", simulated_mm)):
             if focus_mm is not None and focus_mm < nearest:
                 raise ValueError(
                     f"{key}.focus: {focus_mm:g} mm is too near for a lens of {self.optics.focal_length_mm:g} mm; "
                     f"give at least {nearest:g} mm"
                 )
         return self
+
+
+class _EachKeyOnce(yaml.SafeLoader):
+    """YAML lets the last of two equal keys win, and a real device become a simulated one unnoticed."""
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+        seen = set()
+        for key, _ in node.value:
+            if isinstance(key, yaml.ScalarNode):
+                if key.value in seen:
+                    raise yaml.MarkedYAMLError(problem=f"{key.value}: is there twice", problem_mark=key.start_mark)
+                seen.add(key.value)
+        return dict(super().construct_mapping(node, deep))
 
 
 def load_rig_config(path: Path) -> RigConfig:
@@ -264,7 +278,7 @@ def load_rig_config(path: Path) -> RigConfig:
         Unreadable, not YAML, or a key, type, unit or value is wrong; names file, key and the way out.
     """
     try:
-        data = yaml.safe_load(path.read_text(encoding="utf-8"))
+        data = yaml.load(path.read_text(encoding="utf-8"), _EachKeyOnce)
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"{path}: can't be read ({error})") from None
     except yaml.YAMLError as error:
@@ -281,10 +295,24 @@ def load_rig_config(path: Path) -> RigConfig:
         raise InputError(f"{path}: {_first_problem(error)}") from None
 
 
+_UNION_TAG = re.compile(r"[\[-]")
+"""pydantic names the branches of a union in a place's path: ``literal['auto']``, ``constrained-float``."""
+_SAYS_MORE = {
+    "panel.dot.size": "a diameter above 0 in panel pixels, at most 4000, or auto",
+    "stage.limits": "the smallest and the largest position, e.g. [0 mm, 2900 mm]",
+    "calibration.field": "points across and down, e.g. [3, 3]",
+}
+
+
 def _first_problem(error: ValidationError) -> str:
     problem = error.errors()[0]
-    key = ".".join(str(part) for part in problem["loc"])
+    parts = [str(part) for part in problem["loc"] if not _UNION_TAG.search(str(part))]
+    key = ".".join(parts)
     message = problem["msg"].removeprefix("Value error, ")
     if problem["type"] != "value_error":
         message = f"{message[0].lower()}{message[1:]} (found {problem['input']!r})"
+    if problem["type"] == "string_type":
+        message = f"{message}; write it in quotes"
+    if message_of := _SAYS_MORE.get(key):
+        message = f"{message_of} (found {problem['input']!r})"
     return f"{key}: {message}" if key else message

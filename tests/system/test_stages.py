@@ -134,7 +134,7 @@ def test_where_a_panel_moved_by_hand_really_stands_is_its_depth_in_the_bank(
     outcome = done("-C", project, "calibrate", *FIVE, "--json")
     assert "Move the panel to 130.0 cm and press Enter" in outcome.err
     assert "'soon' is no length; press Enter for 180.0 cm" in outcome.err
-    assert "9 m isn't within 0.0 cm to 300.0 cm" in outcome.err
+    assert "9 m isn't between 0.0 cm and 300.0 cm" in outcome.err
     zero_mm = outcome.only["lens"]["zero_mm"]
     assert zero_mm == pytest.approx(7.0, abs=2 * outcome.only["lens"]["zero_se_mm"])
     depths = [800.0, 1284.0, 1817.0, 2300.0, 2800.0]

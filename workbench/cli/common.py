@@ -198,7 +198,7 @@ def run(group: click.Group, argv: Sequence[str] | None = None) -> int:
         hint = f" (see `{error.ctx.command_path} --help`)" if error.ctx else ""
         return _fail(f"{error.format_message()}{hint}", EXIT_INPUT)
     except (KeyboardInterrupt, click.Abort):
-        return _fail("interrupted; `workbench resume` goes on where a calibration stopped", EXIT_INTERRUPTED)
+        return _fail("interrupted; `workbench resume` goes on with a calibration", EXIT_INTERRUPTED)
     except (InputError, CalibrationError, ConfigError, click.ClickException) as error:
         return _fail(error.format_message() if isinstance(error, click.ClickException) else str(error), EXIT_INPUT)
     except CheckFailedError as error:

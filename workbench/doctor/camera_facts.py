@@ -10,6 +10,7 @@ from calibration.exif import known_camera
 from rigs.errors import SettingError
 from rigs.gphoto2_config import ABSENT, Gphoto2Settings
 from rigs.gphoto2_settings import (
+    choose_aperture,
     choose_raw_format,
     dial_allows,
     has_no_contacts,
@@ -173,6 +174,10 @@ def _lens(facts: Mapping[str, str], settings: Gphoto2Settings) -> list[Finding]:
             )
         ]
     if settings.aperture is not None:
+        try:
+            choose_aperture(facts["apertures"].split(", "), settings.aperture)
+        except SettingError as error:
+            return [CAMERA.failure("lens", error)]
         return [CAMERA.ok("lens", f"{name}, f/{settings.aperture:g} will be set (now f/{f_number:g})")]
     return [
         CAMERA.note(

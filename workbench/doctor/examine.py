@@ -6,6 +6,7 @@ import math
 import time
 from contextlib import ExitStack
 
+from rigs.protocols import Pattern
 from rigs.serial_link import discover_ports
 from workbench.config import RigConfig
 from workbench.devices import Tell
@@ -18,7 +19,7 @@ from workbench.doctor.processes import running
 from workbench.doctor.project import PROJECT, plan_finding, project_findings
 from workbench.doctor.stage import stage_findings
 from workbench.errors import InputError
-from workbench.planning import METER_SHOTS_PER_DEPTH, cost, dot_size_px, make_plan
+from workbench.planning import METER_SHOTS_PER_DEPTH, cost, make_plan
 from workbench.progress import Observer, Step
 from workbench.project import Project
 
@@ -56,7 +57,7 @@ def examine(
     step(0)
     found: list[Finding] = []
     depths_mm: tuple[float, ...] = ()
-    demand, dot_px = Demand(1, 0.0, config.camera.iso), 1.0
+    demand, pattern = Demand(1, 0.0, config.camera.iso), Pattern("dot")
     try:
         plan = make_plan(config)
     except InputError as error:
@@ -64,7 +65,7 @@ def examine(
     else:
         estimate = cost(plan, config)
         found.append(plan_finding(plan, estimate))
-        depths_mm, dot_px = plan.depths_mm, dot_size_px(config, plan.depths_mm[0])
+        depths_mm, pattern = plan.depths_mm, plan.widest.pattern()
         frames = estimate.shots + math.ceil(METER_SHOTS_PER_DEPTH * len(depths_mm))
         demand = Demand(frames, estimate.bytes, plan.iso)
     in_project, bank = project_findings(project, config)
@@ -94,7 +95,7 @@ def examine(
             step(2)
             found += stage_findings(config, depths_mm, programs=programs, operator_present=operator_present)
             step(3)
-            on_panel, browsers = panel_findings(config.panel, dot_px, wait_s=panel_wait_s, tell=tell)
+            on_panel, browsers = panel_findings(config.panel, pattern, wait_s=panel_wait_s, tell=tell)
             found += on_panel
     devices = {"camera": config.camera.kind, "stage": config.stage.kind, "panel": config.panel.kind}
     ports = tuple(map(str, discover_ports()))

@@ -8,7 +8,7 @@ from rigs.browser_panel import BrowserPanel, PanelStatus
 from rigs.errors import NotAcknowledgedError, RigError
 from rigs.panel_messages import PageState, WakeLock
 from rigs.protocols import PanelAck, Pattern
-from rigs.web_server import is_loopback
+from rigs.web_access import is_loopback
 from workbench.config import PanelConfig
 from workbench.devices import Tell, browser_panel_settings
 from workbench.doctor.findings import Finding, Subject
@@ -21,7 +21,7 @@ _BROWSERS = (("Firefox", "Firefox"), ("Edg", "Edge"), ("OPR", "Opera"), ("Chrome
 
 
 def panel_findings(
-    config: PanelConfig, dot_px: float, *, wait_s: float, tell: Tell
+    config: PanelConfig, pattern: Pattern, *, wait_s: float, tell: Tell
 ) -> tuple[list[Finding], tuple[str, ...]]:
     """Check the panel that rig.yaml names.
 
@@ -29,8 +29,8 @@ def panel_findings(
     ----------
     config
         The panel.
-    dot_px
-        Diameter of the dot that is shown (panel pixels).
+    pattern
+        What is shown: of the plan's patterns the widest, which has to fit on the panel.
     wait_s
         How long a page may take to connect and to be ready.
     tell
@@ -58,13 +58,13 @@ def panel_findings(
     except RigError as error:
         return [PANEL.failure("server", error)], ()
     try:
-        return _look(panel, found, config, dot_px, wait_s=wait_s, tell=tell)
+        return _look(panel, found, config, pattern, wait_s=wait_s, tell=tell)
     finally:
         panel.close()
 
 
 def _look(
-    panel: BrowserPanel, found: list[Finding], config: PanelConfig, dot_px: float, *, wait_s: float, tell: Tell
+    panel: BrowserPanel, found: list[Finding], config: PanelConfig, pattern: Pattern, *, wait_s: float, tell: Tell
 ) -> tuple[list[Finding], tuple[str, ...]]:
     tell(panel.invitation())
     with suppress(NotAcknowledgedError):
@@ -82,7 +82,7 @@ def _look(
     browser = _browser(status)
     found = [*found, PANEL.ok("page", browser)]
     try:
-        painted = panel.show(Pattern("dot", size_px=dot_px, colour=config.dot.colour))
+        painted = panel.show(pattern)
         page = panel.status().page
         panel.show(Pattern("black"))
     except RigError as error:

@@ -34,6 +34,13 @@ def test_loopback_needs_no_token_and_serves_all_parts(make_panel):
     assert httpx.get(_base(panel) + "/panel/picture?sequence=x").status_code == 400
 
 
+def test_every_loopback_address_is_this_computer(make_panel):
+    panel = make_panel(host="127.0.0.2")
+    assert httpx.get(_base(panel) + "/panel").is_success
+    other = {"Host": "workbench.example"}
+    assert httpx.get(_base(panel) + "/panel", headers=other).status_code == 403
+
+
 def test_network_address_always_gets_a_token(make_panel):
     panel = make_panel(host="0.0.0.0")
     url = panel.urls()[0]

@@ -54,6 +54,15 @@ def test_the_template_is_valid_and_means_what_it_says(tmp_path: Path) -> None:
         ("stage: {kind: grbl, port: /dev/x, speed: 50 mm}", ("stage.speed", "'50 mm'", "50 mm/s")),
         ("stage: {kind: grbl, port: /dev/x, speed: 0 mm/s}", ("stage.speed", "greater than 0")),
         ("stage: {limits: [1 m, 20 cm]}", ("stage", "1000 to 200 mm", "smaller one first")),
+        ("camera:\n  kind: gphoto2\n  kind: simulated\n", ("line 3", "kind: is there twice")),
+        ("stage: {}\nstage:\n  kind: manual\n", ("line 2", "stage: is there twice")),
+        ("panel: {dot: {size: .inf}}", ("panel.dot.size: a diameter", "auto", "inf")),
+        ("panel: {dot: {size: 3 px}}", ("panel.dot.size: a diameter", "'3 px'")),
+        ("stage: {depth: {scale: .inf}}", ("stage.depth.scale", "finite")),
+        ("stage: {kind: grbl, port: /dev/x, axis: x}", ("stage.axis: ", "'X', 'Y' or 'Z'")),
+        ("stage: {limits: [1 m, 2 m, 3 m]}", ("stage.limits: the smallest and the largest",)),
+        ("calibration: {field: 3}", ("calibration.field: points across and down",)),
+        ("camera: {kind: gphoto2, model: 650}", ("camera.model", "in quotes")),
         ("[1, 2]", ("rig.yaml", "list")),
         ("a: [", ("rig.yaml", "YAML")),
     ],
@@ -110,3 +119,10 @@ def test_init_never_overwrites_a_project(tmp_path: Path) -> None:
     create_project(tmp_path)
     with pytest.raises(InputError, match="already"):
         create_project(tmp_path)
+
+
+def test_a_real_cameras_lens_is_not_held_against_the_simulated_focus(tmp_path: Path) -> None:
+    long = "optics: {focal_length: 1 m}\n"
+    load_rig_config(_write(tmp_path, long + "camera: {kind: gphoto2}\n"))
+    with pytest.raises(InputError, match=r"simulation\.focus"):
+        load_rig_config(_write(tmp_path, long))

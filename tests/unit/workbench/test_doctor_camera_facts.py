@@ -97,9 +97,12 @@ def test_aperture_wish_needs_a_lens_with_contacts() -> None:
     wish = replace(SETTINGS, aperture=2.8)
     assert findings(wish)["lens"].severity.word == "warning"
     assert (
-        findings(wish, aperture="5.6", lens="EF50mm f/1.8")["lens"].seen
+        findings(wish, aperture="5.6", apertures="1.8, 2.8, 5.6", lens="EF50mm f/1.8")["lens"].seen
         == "EF50mm f/1.8, f/2.8 will be set (now f/5.6)"
     )
+    other = findings(replace(SETTINGS, aperture=3.0), aperture="5.6", apertures="1.8, 2.8, 5.6")["lens"]
+    assert other.severity.word == "error"
+    assert "1.8, 2.8, 5.6" in other.mend
 
 
 def test_card_matters_only_as_far_as_frames_stay_on_it() -> None:

@@ -60,3 +60,10 @@ def test_a_finer_plan_costs_more() -> None:
     assert fine.shots > coarse.shots
     assert fine.seconds > coarse.seconds
     assert fine.bytes > coarse.bytes
+
+
+def test_the_widest_pattern_is_the_one_that_reaches_farthest() -> None:
+    grid = make_plan(RigConfig(), field=(3, 3))
+    reach = [max(max(abs(x), abs(y)) for x, y in dot.points_px) for dot in grid.dots]
+    assert max(max(abs(x), abs(y)) for x, y in grid.widest.points_px) == max(reach) > min(reach)
+    assert make_plan(RigConfig()).widest.points_px == ()
