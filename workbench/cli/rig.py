@@ -180,18 +180,18 @@ def run_session(context: Context, project: Project, what: Plan | str) -> None:
             try:
                 state = runner.run()
             except RigError as error:
-                error.args = (_resumable(str(error)),)
+                error.args = (_resumable(str(error), by_hand=config.stage.kind == "manual"),)
                 raise
     context.note("making the bank")
     result = calibrate_session(project, directory, made, state, config)
     _show_bank(context, project, result, session)
 
 
-def _resumable(message: str) -> str:
+def _resumable(message: str, *, by_hand: bool) -> str:
     """An error that ended a session, with how to go on with it."""
     if "`workbench resume`" in message:
         return message
-    if message.startswith("stage:"):
+    if message.startswith("stage:") and not by_hand:
         return f"{message} (`workbench resume` homes it where needed, and goes on)"
     return f"{message}, then `workbench resume`"
 
