@@ -196,6 +196,8 @@ class PanelConfig(Section):
 
     kind: Literal["simulated", "browser"] = "simulated"
     pixel_pitch_mm: Length = Field(0.1, alias="pixel_pitch", gt=0, le=10)
+    pixels: tuple[Annotated[int, Field(ge=100, le=20000)], Annotated[int, Field(ge=100, le=20000)]] = (1920, 1200)
+    """Width and height in device pixels; grids of points stay within."""
     dot: DotConfig = DotConfig()
     host: str = "127.0.0.1"
     port: int = Field(8650, ge=0, le=65535)
@@ -300,6 +302,7 @@ _UNION_TAG = re.compile(r"[\[-]")
 _SAYS_MORE = {
     "panel.dot.size": "a diameter above 0 in panel pixels, at most 4000, or auto",
     "stage.limits": "the smallest and the largest position, e.g. [0 mm, 2900 mm]",
+    "panel.pixels": "width and height in device pixels, e.g. [1280, 800]",
     "calibration.field": "points across and down, e.g. [3, 3]",
 }
 

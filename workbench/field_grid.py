@@ -23,8 +23,6 @@ CENTRING = 0.08
 """Part of the half frame by which the panel's middle may be off the axis."""
 SPREAD = 1.15
 """Room for a blur, relative to its radius by the thin lens."""
-PANEL_PX = (1920, 1200)
-"""Device pixels of the panel assumed: those of the simulated one; a larger panel is used as far as this."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +55,10 @@ def grid_at(config: RigConfig, across: int, down: int, depth_mm: float) -> GridA
     image_distance = focal * focus / (focus - focal) if focus else focal
     pixels_per_mm = depth_mm / image_distance / config.panel.pixel_pitch_mm  # of the image
     reach = REACH
-    for count, half_mm, panel in ((across, width_mm / 2, PANEL_PX[0]), (down, height_mm / 2, PANEL_PX[1])):
+    for count, half_mm, panel in (
+        (across, width_mm / 2, config.panel.pixels[0]),
+        (down, height_mm / 2, config.panel.pixels[1]),
+    ):
         if count > 1:
             reach = min(reach, (1.0 - MARGIN) * panel / 2 / (half_mm * pixels_per_mm))
             reach = min(reach, 1.0 - CENTRING - SPREAD * _blur_mm(config, depth_mm) / half_mm)

@@ -51,4 +51,4 @@ def test_grid_that_the_panel_cannot_hold_is_an_error(open_page: Callable[..., An
     by_check, _ = look_at(open_page, wide)
     assert by_check["painting"].severity.word == "error"
     assert "isn't wholly on the panel of 1280 x 800 px" in by_check["painting"].seen
-    assert "calibration.field" in by_check["painting"].mend
+    assert "panel.pixels: [1280, 800]" in by_check["painting"].mend

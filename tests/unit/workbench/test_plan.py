@@ -67,3 +67,12 @@ def test_the_widest_pattern_is_the_one_that_reaches_farthest() -> None:
     reach = [max(max(abs(x), abs(y)) for x, y in dot.points_px) for dot in grid.dots]
     assert max(max(abs(x), abs(y)) for x, y in grid.widest.points_px) == max(reach) > min(reach)
     assert make_plan(RigConfig()).widest.points_px == ()
+
+
+def test_grids_stay_within_the_panel_that_there_is() -> None:
+    small = RigConfig.model_validate({"panel": {"pixels": [600, 1000]}})
+    for made, (width, height) in ((make_plan(small, field=(3, 3)), (600, 1000)),
+                                  (make_plan(RigConfig(), field=(3, 3)), (1920, 1200))):  # fmt: skip
+        for dot in made.dots:
+            assert max(abs(x) for x, _ in dot.points_px) + dot.size_px / 2 <= width / 2
+            assert max(abs(y) for _, y in dot.points_px) + dot.size_px / 2 <= height / 2
