@@ -8,7 +8,15 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import yaml
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    ValidationError,
+    field_validator,
+    model_validator,
+)
 
 from rigs.rig import DepthAxis
 from workbench.errors import InputError
@@ -189,6 +197,13 @@ class DotConfig(Section):
     size_px: Annotated[float, Field(gt=0, le=4000)] | Literal["auto"] = Field("auto", alias="size")
     """Diameter in panel pixels; auto: as large as its image may be without widening the PSF."""
     colour: str = Field("#ffffff", pattern=r"^#[0-9a-fA-F]{6}$")
+
+    @field_validator("colour")
+    @classmethod
+    def _lit(cls, value: str) -> str:
+        if value == "#000000":
+            raise ValueError("a black dot can't be photographed; use '#ffffff'")
+        return value
 
 
 class PanelConfig(Section):

@@ -61,6 +61,7 @@ def test_the_template_is_valid_and_means_what_it_says(tmp_path: Path) -> None:
         ("stage: {depth: {scale: .inf}}", ("stage.depth.scale", "finite")),
         ("stage: {kind: grbl, port: /dev/x, axis: x}", ("stage.axis: ", "'X', 'Y' or 'Z'")),
         ("stage: {limits: [1 m, 2 m, 3 m]}", ("stage.limits: the smallest and the largest",)),
+        ("panel: {dot: {colour: '#000000'}}", ("panel.dot.colour", "black dot", "#ffffff")),
         ("panel: {pixels: 1280}", ("panel.pixels: width and height",)),
         ("calibration: {field: 3}", ("calibration.field: points across and down",)),
         ("camera: {kind: gphoto2, model: 650}", ("camera.model", "in quotes")),
