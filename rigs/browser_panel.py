@@ -126,11 +126,12 @@ class BrowserPanel:
             painted_after_s = time.monotonic() - started
         self._look_at_size((page.width_px, page.height_px))
         if (point := outside(pattern, page.width_px, page.height_px)) is not None:
-            grid = len(pattern.points_px) > 1
-            way_out = f"set panel.pixels: [{page.width_px}, {page.height_px}] and plan anew" if grid else ""
+            way_out = "move it inwards"
+            if len(pattern.points_px) > 1:
+                way_out = f"set panel.pixels: [{page.width_px}, {page.height_px}] and plan anew"
             raise PanelError(
                 f"panel: a dot of {pattern.size_px:g} px at ({point[0]:g}, {point[1]:g}) isn't wholly on the panel of "
-                f"{page.width_px} x {page.height_px} px (origin at its centre); {way_out or 'move it inwards'}"
+                f"{page.width_px} x {page.height_px} px (origin at its centre); {way_out}"
             )
         time.sleep(self._settings.settle_s)
         return PanelAck(

@@ -96,6 +96,7 @@ class ManualStage:
         self._check(position_mm)
         asked = self._settings.describe(position_mm)
         question = f"Move the panel to {asked} and press Enter (or type where it really stands, e.g. {asked}): "
+        again = f"press Enter for {asked}, or type where it stands: "
         for _ in range(_TRIES):
             try:
                 answer = self._ask(question).strip()
@@ -107,10 +108,10 @@ class ManualStage:
                 stands_mm = self._settings.read(answer) if answer else position_mm
                 self._check(stands_mm)
             except ValueError:
-                question = f"{answer!r} is no length; press Enter for {asked}, or type where it stands: "
+                question = f"{answer!r} is no length; {again}"
             except LimitError:
                 low, high = map(self._settings.describe, self._settings.limits_mm)
-                question = f"{answer} isn't between {low} and {high}; press Enter for {asked}, or say where it stands: "
+                question = f"{answer} isn't between {low} and {high}; {again}"
             else:
                 if answer and self._stood_there_before(stands_mm, position_mm):
                     question = (

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from types import TracebackType
 
 from rigs.errors import LimitError, RigError
-from rigs.protocols import Camera, Panel, Stage
+from rigs.protocols import Camera, Panel, Pattern, Stage
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,6 +65,17 @@ class Rig:
                     f"stage: depth {depth / 10:g} cm is out of reach ({nearest / 10:g} to {farthest / 10:g} cm): "
                     "shorten the plan with --from and --to, or correct stage.depth in rig.yaml"
                 )
+
+    def check_panel(self, pattern: Pattern) -> None:
+        """Show a pattern, to see before anything moves that the panel can, and go dark again.
+
+        Raises
+        ------
+        PanelError
+            It can't.
+        """
+        self.panel.show(pattern)
+        self.panel.show(Pattern("black"))
 
     def close(self) -> None:
         """Close all three devices, whatever state they are in, and whatever interrupts it."""

@@ -327,10 +327,8 @@ def _first_problem(error: ValidationError) -> str:
     parts = [str(part) for part in problem["loc"] if not _UNION_TAG.search(str(part))]
     key = ".".join(parts)
     message = problem["msg"].removeprefix("Value error, ")
-    if problem["type"] != "value_error":
-        message = f"{message[0].lower()}{message[1:]} (found {problem['input']!r})"
+    if key in _SAYS_MORE or problem["type"] != "value_error":
+        message = f"{_SAYS_MORE.get(key, message[0].lower() + message[1:])} (found {problem['input']!r})"
     if problem["type"] == "string_type":
         message = f"{message}; write it in quotes"
-    if message_of := _SAYS_MORE.get(key):
-        message = f"{message_of} (found {problem['input']!r})"
     return f"{key}: {message}" if key else message

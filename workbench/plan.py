@@ -58,13 +58,12 @@ class Plan(BaseModel):
     dots: tuple[PatternSpec, ...]
     """What the panel shows, one per depth: the dot may grow with distance as its image shrinks."""
     iso: int = 100
+    max_meter_shots: int = 8
 
     @property
     def widest(self) -> PatternSpec:
         """Of the patterns the one that reaches farthest from the panel's middle."""
         return max(self.dots, key=lambda dot: max((max(abs(x), abs(y)) for x, y in dot.points_px), default=0.0))
-
-    max_meter_shots: int = 8
 
     def shots(self) -> Iterator[Shot]:
         """Shots in the order of their taking."""

@@ -152,7 +152,6 @@ def run_session(context: Context, project: Project, what: Plan | str) -> None:
 
     A new session leaves no trace unless the rig can be opened and reaches every depth.
     """
-    from rigs.protocols import Pattern
     from workbench.calibrate import calibrate_session
     from workbench.device_news import DeviceNews
     from workbench.devices import open_rig
@@ -167,9 +166,8 @@ def run_session(context: Context, project: Project, what: Plan | str) -> None:
             rig.check_reach(made.depths_mm)
         except LimitError as error:
             raise InputError(str(error)) from None
-        if made.widest.points_px:  # a grid that the panel can't hold is said before anything moves, too
-            rig.panel.show(made.widest.pattern())
-            rig.panel.show(Pattern("black"))
+        if made.widest.points_px:
+            rig.check_panel(made.widest.pattern())
         rig.camera.exposure_times_s()  # sets a real camera up: what is wrong with it is said before anything moves
         session = what if isinstance(what, str) else project.new_session_id()
         directory = project.sessions / session

@@ -222,7 +222,7 @@ def compare_sides(
     size = int((model.kernel_lags.shape[1] + 1) // 2)
     psfs = []
     for sign in (1.0, -1.0):
-        if sign * radius < model.psfs.radius_px(1e12) * 0.98:
+        if sign * radius < model.farthest_px:
             psfs.append(model.psfs.psf_at(model.depth_mm(sign * radius), size))
         else:
             psfs.append(psfs[0][::-1, ::-1] if psfs else model.psfs.psf_at(model.depth_mm(-radius), size)[::-1, ::-1])

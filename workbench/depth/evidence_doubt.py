@@ -21,8 +21,6 @@ _RIVAL_PX = 0.5
 """Standard errors or not, a rival blur is known to half a pixel."""
 _OUT_OF_REACH = 3.0
 """Log-odds against a depth that the bank doesn't reach, before its sides are compared: scenes are mostly within it."""
-_FARTHEST = 0.98
-"""Of the radius at infinity: what is larger has no far side."""
 
 
 def doubted(estimate: DepthEstimate, reason: str) -> DepthEstimate:
@@ -100,15 +98,14 @@ def unless_beyond_reach(
     if not np.isfinite(estimate.depth_mm):
         return estimate
     sigma = model.psfs.radius_px(estimate.depth_mm)
-    farthest = _FARTHEST * model.psfs.radius_px(1e12)
-    if model.sigma_px[0] <= -sigma <= model.sigma_px[-1] or -sigma >= farthest:
+    if model.sigma_px[0] <= -sigma <= model.sigma_px[-1] or -sigma >= model.farthest_px:
         return estimate
     nearest = int(np.abs(np.abs(model.row_radius_px[list(modes)]) - abs(sigma)).argmin())
     against = float(far_odds[nearest]) * (1.0 if sigma < 0 else -1.0) - _OUT_OF_REACH
     if against < 0:
         return estimate
     mirror = model.depth_mm(-sigma)
-    mirrored = [model.depth_mm(min(-model.psfs.radius_px(end), farthest)) for end in estimate.interval_mm]
+    mirrored = [model.depth_mm(min(-model.psfs.radius_px(end), model.farthest_px)) for end in estimate.interval_mm]
     held = (min(*estimate.interval_mm, *mirrored), max(*estimate.interval_mm, *mirrored))
     where = "last" if sigma < 0 else "first"
     end = float(model.depths_mm[-1 if sigma < 0 else 0]) / 10

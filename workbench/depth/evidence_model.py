@@ -19,6 +19,7 @@ Mask = NDArray[np.bool_]
 
 LEARNED = "evidence_learned_2"
 """Name of :class:`Learned` among a bank's extras."""
+_FARTHEST = 0.98
 
 
 @dataclass(frozen=True, slots=True)
@@ -188,6 +189,11 @@ class DepthModel:
         """bool (R, 2): whether the grid holds each row's |radius| on the far side, and on the near side."""
         radius = np.abs(self.row_radius_px)
         return np.stack([radius <= self.sigma_px[-1], radius <= -self.sigma_px[0]], axis=1)
+
+    @property
+    def farthest_px(self) -> float:
+        """Radius beyond which there is no far side, just short of the radius at infinity."""
+        return _FARTHEST * self.psfs.radius_px(1e12)
 
     def depth_mm(self, sigma_px: float) -> float:
         """Depth of a signed radius."""

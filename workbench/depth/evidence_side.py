@@ -38,6 +38,9 @@ _BANDS = (0.35, 0.18)
 _DIRECTIONS = 4
 _TILES = 4
 """Tiles along each side of a window."""
+_ALL_TILES = (-3, -2, -1)
+"""Axes of :class:`_Moments` over windows and their tiles."""
+_TINY = 1e-30
 _CONTEXT = 32
 _FADE = 16
 
@@ -51,7 +54,7 @@ class Comparison:
     sparse
         float64 (2, len(FAMILIES)): mean over directions of log(mean |g|^0.8 / (mean g^2)^0.4); smaller is sparser.
     favour
-        float64 (len(STATISTICS),): how many standard errors sparser the first PSF's restoration is, at most 4.
+        float64 (len(STATISTICS),): how many standard errors sparser the first PSF's restoration is, below 4 in size.
     """
 
     sparse: FloatArray
@@ -98,9 +101,8 @@ def compare(
         Texture and noise as fitted to the region (:mod:`workbench.depth.evidence_spectrum`).
     """
     moments = _moments(plane, soft, windows, psfs, texture)
-    everything = (-3, -2, -1)
-    sparse = _log_ratio(moments.sparse.sum(everything), moments.square.sum(everything), _SPARSE, moments.weight.sum())
-    return Comparison(sparse.mean(axis=-1), _favour(moments, windows))
+    moment, square = (m.sum(_ALL_TILES) / moments.weight.sum() for m in (moments.sparse, moments.square))
+    return Comparison(_log_ratio(moment, square, _SPARSE).mean(axis=-1), _favour(moments, windows))
 
 
 def favour_by_window(
@@ -115,9 +117,9 @@ def favour_by_window(
     return np.stack([_favour(moments.of_window(i), windows[i : i + 1]) for i in range(len(windows))])
 
 
-def _log_ratio(moment: FloatArray, square: FloatArray, order: float, weight: float) -> FloatArray:
-    """Log of a moment over the mean square to the same power."""
-    return np.asarray(np.log(moment / weight + 1e-30) - order / 2 * np.log(square / weight + 1e-30))
+def _log_ratio(moment: FloatArray, square: FloatArray, order: float) -> FloatArray:
+    """Log of a moment over that of order 2 to the same power."""
+    return np.asarray(np.log(moment + _TINY) - order / 2 * np.log(square + _TINY))
 
 
 def _favour(moments: _Moments, windows: Sequence[Window]) -> FloatArray:
@@ -130,15 +132,14 @@ def _favour(moments: _Moments, windows: Sequence[Window]) -> FloatArray:
     top, left = min(w.row for w in windows), min(w.column for w in windows)
     places = [((w.row - top + tile // 2) // tile, (w.column - left + tile // 2) // tile) for w in windows]
     rows, columns = (max(place) + _TILES for place in zip(*places, strict=True))
-    everything = (-3, -2, -1)
-    total = moments.square.sum(everything) + 1e-30
-    parts = moments.square / total[..., np.newaxis, np.newaxis, np.newaxis]
+    square = moments.square.sum(_ALL_TILES)
+    parts = moments.square / (square + _TINY)[..., np.newaxis, np.newaxis, np.newaxis]
     found = []
     for order, moment, sign, floor in ((_SPARSE, moments.sparse, 1.0, _FLOORS[0]),
                                        (_PEAKED, moments.peaked, -1.0, _FLOORS[1])):  # fmt: skip
-        whole = moment.sum(everything) + 1e-30
-        ratio = np.log(whole) - order / 2 * np.log(total)
-        linear = moment / whole[..., np.newaxis, np.newaxis, np.newaxis] - order / 2 * parts
+        whole = moment.sum(_ALL_TILES)
+        ratio = _log_ratio(whole, square, order)
+        linear = moment / (whole + _TINY)[..., np.newaxis, np.newaxis, np.newaxis] - order / 2 * parts
         difference = sign * (ratio[1] - ratio[0]).mean(axis=-1)
         scatter = (linear[1] - linear[0]).mean(axis=1)
         joined = np.zeros((scatter.shape[0], rows, columns))
