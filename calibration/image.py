@@ -8,6 +8,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from calibration.mosaic import Mosaic
+
 Recipe = Literal["superpixel", "native", "linear"]
 """``superpixel``: 2x2 CFA cells to one RGB pixel, no interpolation. ``native``: photosite pitch.
 ``linear``: the file was already a developed linear image (TIFF, NPY)."""
@@ -55,6 +57,8 @@ class LinearImage:
         Pitch of these pixels (superpixel: twice the photosite pitch); None if unknown.
     info
         Facts of the source file.
+    mosaic
+        The photosites that the superpixels were made of, where they were kept (:func:`calibration.raw.develop`).
     """
 
     planes: NDArray[np.float32]
@@ -62,6 +66,7 @@ class LinearImage:
     recipe: Recipe
     pixel_pitch_mm: float | None
     info: FrameInfo
+    mosaic: Mosaic | None = None
 
     @property
     def shape(self) -> tuple[int, int]:

@@ -1,16 +1,7 @@
 """RAW (or a linear file) to the developed image: one recipe for bank and scene.
 
-Recipes
--------
-superpixel
-    Each 2x2 CFA cell becomes one pixel with R, the mean of both G, and B. No interpolation; twice the photosite pitch.
-native
-    Photosite pitch. Each channel is filled in from its own photosites by the kernel [1 2 1]' [1 2 1], normalised by
-    the photosites that it hits (bilinear interpolation for R and B). With the same kernel for all channels the
-    luminance (R + 2 G + B) / 4 is the mosaic filtered by [1 2 1]' [1 2 1] / 16: shift-invariant, and with zeros
-    exactly where the CFA puts its carriers, so that a coloured point leaves no checkerboard.
-linear
-    The file was linear already (TIFF, NPY).
+``superpixel`` and ``native`` pixels are made of a RAW file's photosites (:mod:`calibration.mosaic`); ``linear``: the
+file was linear already (TIFF, NPY).
 """
 
 from __future__ import annotations
@@ -27,19 +18,15 @@ from typing import Any
 import cv2
 import numpy as np
 import rawpy
-from numpy.typing import NDArray
 
 from calibration.errors import FrameError
 from calibration.exif import Tags, photosite_pitch_mm, read_tags
 from calibration.image import FrameInfo, LinearImage, Recipe
 from calibration.linear_files import is_linear_file, read_linear
-
-SATURATION_FRACTION = 0.99
-"""A photosite at or above this fraction of white counts as saturated (sensors clip a little below the stated white)."""
+from calibration.mosaic import SATURATION_FRACTION, Mosaic, native_pixels, resolves_photosites, superpixels
 
 _HOT_IN_DARK = 0.1
 """A photosite that collects this fraction of white in the dark is hot."""
-_CHANNELS = {"R": 0, "G": 1, "B": 2}
 
 
 def develop(
@@ -49,6 +36,7 @@ def develop(
     dark: LinearImage | None = None,
     pixel_pitch_mm: float | None = None,
     white: float | None = None,
+    keep_mosaic: bool = False,
 ) -> LinearImage:
     """Develop one file to a linear image.
 
@@ -65,6 +53,8 @@ def develop(
         Photosite pitch (mm) for RAW, pixel pitch for a linear file. Default: the known camera's, else the file's.
     white
         For linear files: the value that counts as 1 (default 1 for floats, the type's largest for integers).
+    keep_mosaic
+        Keep the photosites beside superpixels, where they see details of their own.
 
     Returns
     -------
@@ -86,7 +76,7 @@ def develop(
         pitch = pixel_pitch_mm or info.pixel_pitch_mm
         image = LinearImage(planes, saturated, "linear", pitch, info)
     else:
-        image = _develop_raw(path, sha256, tags, recipe, pixel_pitch_mm)
+        image = _develop_raw(path, sha256, tags, recipe, pixel_pitch_mm, keep_mosaic)
     _check_pixels(image)
     return image if dark is None else subtract_dark(image, dark)
 
@@ -174,27 +164,30 @@ def _info(path: Path, sha256: str, tags: Tags, **more: Any) -> FrameInfo:
     )
 
 
-def _develop_raw(path: Path, sha256: str, tags: Tags, recipe: Recipe, pitch_mm: float | None) -> LinearImage:
+def _develop_raw(
+    path: Path, sha256: str, tags: Tags, recipe: Recipe, pitch_mm: float | None, keep_mosaic: bool
+) -> LinearImage:
     if recipe not in ("superpixel", "native"):
         raise FrameError(f"{path}: a RAW file is developed as superpixel or native, not {recipe!r}")
     try:
         with _decoder_heard(path), rawpy.imread(str(path)) as raw:
-            mosaic, pattern = _mosaic(path, raw)
-            blacks, white = _levels(path, raw)
+            mosaic = _mosaic(path, raw)
             other = raw.other
             info = _info(
                 path,
                 sha256,
                 tags,
-                raw_size=(int(mosaic.shape[0]), int(mosaic.shape[1])),
-                cfa="".join("RGBG"[index] for index in pattern),
+                raw_size=(int(mosaic.photosites.shape[0]), int(mosaic.photosites.shape[1])),
+                cfa="".join("RGBG"[index] for index in mosaic.pattern),
                 exposure_s=float(other.shutter_speed) or None,
                 iso=float(other.iso_speed) or None,
                 focal_length_mm=float(other.focal_length) or None,
                 f_number=float(other.aperture) or None,
             )
-            develop_mosaic = _superpixel if recipe == "superpixel" else _native
-            planes, saturated = develop_mosaic(mosaic, pattern, blacks, white)
+            planes, saturated = superpixels(mosaic) if recipe == "superpixel" else native_pixels(mosaic)
+            kept = None
+            if keep_mosaic and recipe == "superpixel" and resolves_photosites(mosaic):
+                kept = replace(mosaic, photosites=mosaic.photosites.copy())  # the decoder's memory ends with the file
     except rawpy.LibRawFileUnsupportedError as error:
         raise FrameError(f"{path}: is not a RAW file that LibRaw knows; give RAW, or linear .tif or .npy") from error
     except rawpy.LibRawError as error:
@@ -202,7 +195,7 @@ def _develop_raw(path: Path, sha256: str, tags: Tags, recipe: Recipe, pitch_mm: 
     pitch = pitch_mm or info.pixel_pitch_mm
     if pitch is not None and recipe == "superpixel":
         pitch *= 2.0
-    return LinearImage(planes, saturated, recipe, pitch, info)
+    return LinearImage(planes, saturated, recipe, pitch, info, kept)
 
 
 def _what_it_is(path: Path, tags: Tags) -> str:
@@ -251,8 +244,8 @@ def _decoder_heard(path: Path) -> Iterator[None]:
             raise FrameError(f"{path}: truncated or damaged ({complaint.decode().lower()}); copy it again")
 
 
-def _mosaic(path: Path, raw: Any) -> tuple[NDArray[np.uint16], tuple[int, int, int, int]]:
-    """Visible photosites cut to whole 2x2 cells, and the colour index of the cell's four (row by row)."""
+def _mosaic(path: Path, raw: Any) -> Mosaic:
+    """Visible photosites cut to whole 2x2 cells; they lie in the decoder's memory."""
     if raw.raw_type != rawpy.RawType.Flat or raw.raw_pattern is None:
         raise FrameError(
             f"{path}: has no colour mosaic (already demosaiced or layered sensor); give RAW of a Bayer camera"
@@ -272,11 +265,11 @@ def _mosaic(path: Path, raw: Any) -> tuple[NDArray[np.uint16], tuple[int, int, i
     if height < 16 or width < 16:
         raise FrameError(f"{path}: only {visible.shape[1]} x {visible.shape[0]} photosites; not a photograph")
     a, b, c, d = pattern
-    return visible[:height, :width], (a, b, c, d)
+    return Mosaic(visible[:height, :width], (a, b, c, d), *_levels(path, raw))
 
 
-def _levels(path: Path, raw: Any) -> tuple[list[float], float]:
-    blacks = [float(level) for level in raw.black_level_per_channel]
+def _levels(path: Path, raw: Any) -> tuple[tuple[float, ...], float]:
+    blacks = tuple(float(level) for level in raw.black_level_per_channel)
     white = float(raw.white_level)
     if raw.camera_white_level_per_channel:
         stated = [float(level) for level in raw.camera_white_level_per_channel if level > 0]
@@ -286,44 +279,6 @@ def _levels(path: Path, raw: Any) -> tuple[list[float], float]:
             f"{path}: white level {white:g} is not above black level {max(blacks):g}; the file's tags are broken"
         )
     return blacks, white
-
-
-def _superpixel(
-    mosaic: NDArray[np.uint16], pattern: tuple[int, int, int, int], blacks: list[float], white: float
-) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-    height, width = mosaic.shape[0] // 2, mosaic.shape[1] // 2
-    planes = np.zeros((height, width, 3), np.float32)
-    saturated = np.zeros((height, width), np.bool_)
-    for position, index in enumerate(pattern):
-        sites = mosaic[position // 2 :: 2, position % 2 :: 2]
-        channel = _CHANNELS["RGBG"[index]]
-        share = np.float32((0.5 if channel == 1 else 1.0) / (white - blacks[index]))
-        planes[:, :, channel] += (sites - np.float32(blacks[index])) * share
-        saturated |= sites >= blacks[index] + SATURATION_FRACTION * (white - blacks[index])
-    return planes, saturated
-
-
-def _native(
-    mosaic: NDArray[np.uint16], pattern: tuple[int, int, int, int], blacks: list[float], white: float
-) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-    planes = np.empty((*mosaic.shape, 3), np.float32)
-    clipped = np.zeros(mosaic.shape, np.uint8)
-    kernel = np.array([1.0, 2.0, 1.0], np.float32) / 4.0
-    for channel in range(3):
-        sparse = np.zeros(mosaic.shape, np.float32)
-        for position, index in enumerate(pattern):
-            if _CHANNELS["RGBG"[index]] != channel:
-                continue
-            cell = (slice(position // 2, None, 2), slice(position % 2, None, 2))
-            black, span = blacks[index], white - blacks[index]
-            sparse[cell] = (mosaic[cell] - np.float32(black)) * np.float32(1.0 / span)
-            clipped[cell] = mosaic[cell] >= black + SATURATION_FRACTION * span
-        # reflect_101 keeps the parity of the mosaic, so that the border needs no case of its own; the kernel hits
-        # a quarter of its weight in R and B photosites, half in G, wherever it stands
-        filled = cv2.sepFilter2D(sparse, cv2.CV_32F, kernel, kernel, borderType=cv2.BORDER_REFLECT_101)
-        planes[:, :, channel] = filled * np.float32(2.0 if channel == 1 else 4.0)
-    saturated = cv2.dilate(clipped, np.ones((3, 3), np.uint8)) > 0
-    return planes, np.asarray(saturated, np.bool_)
 
 
 def _check_pixels(image: LinearImage) -> None:

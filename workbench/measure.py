@@ -12,9 +12,9 @@ import numpy as np
 import tifffile
 from numpy.typing import NDArray
 
-from calibration.bank import Bank, check_fits
+from calibration.bank import Bank
 from calibration.image import LinearImage
-from calibration.raw import develop
+from calibration.photograph import develop_photograph
 from workbench.banks import open_bank, quality_verdict
 from workbench.depth.allfocus import all_focus, depth_map
 from workbench.depth.depth_regions import regions_of_one_depth
@@ -112,8 +112,7 @@ def open_second_view(
             f"give --set {missing[0]}={'FILE' if missing[0] == 'second_image' else 'REF'}"
         )
     bank, _ = open_bank(project, chosen["second_bank"])
-    image = develop(Path(chosen["second_image"]), recipe="native" if bank.recipe == "native" else "superpixel")
-    check_fits(bank, image)
+    image = develop_photograph(Path(chosen["second_image"]), bank)
     return tuple((chosen | {"second_bank": bank, "second_image": image}).items())
 
 
@@ -159,8 +158,7 @@ def measure(path: Path, bank: Bank, bank_ref: str, options: MeasureOptions) -> M
         The region or method options can't be used.
     """
     started = time.perf_counter()
-    image = develop(path, recipe="native" if bank.recipe == "native" else "superpixel")
-    check_fits(bank, image)
+    image = develop_photograph(path, bank)
     labels = find_regions(image, bank, options)
     estimates = estimate_depths(image, bank, labels, options.method, dict(options.method_options))
     return Measurement(

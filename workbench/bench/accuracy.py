@@ -18,10 +18,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.bank import Bank, check_fits
+from calibration.bank import Bank
 from calibration.image import LinearImage
+from calibration.photograph import develop_photograph
 from calibration.pupil import PsfModel, psf_model
-from calibration.raw import develop
 from rigs.simulated.rig import SceneFrame
 from rigs.simulated.scenes import plane_scene
 from rigs.simulated.world import SimulatedRigSettings
@@ -195,9 +195,8 @@ def _developed(case: Case, view: View, shape: tuple[int, int]) -> Iterator[tuple
     """Photograph a case and develop it, light by light."""
     assert _worker is not None
     for light, path, frame in photograph(case, view.rig, shape, _worker.run.lights, _worker.scratch):
-        image = develop(path, recipe="native" if view.bank.recipe == "native" else "superpixel")
+        image = develop_photograph(path, view.bank)
         path.unlink()
-        check_fits(view.bank, image)
         yield light, image, frame
 
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from calibration.bank import Bank
 from calibration.field import central_bank
-from calibration.raw import develop
+from calibration.photograph import develop_photograph
 from rigs.simulated.world import PRESET_SHAPES, SimulatedRigSettings
 from workbench.bench.accuracy import outcome_of, timed_estimates
 from workbench.bench.cases import Case, photograph
@@ -53,7 +53,7 @@ def compare_over_field(
     with tempfile.TemporaryDirectory(prefix="workbench-bench-") as scratch:
         for done, case in enumerate(cases, start=1):
             for light, path, _ in photograph(case, rig, PRESET_SHAPES[rig.preset], ("normal",), Path(scratch)):
-                image = develop(path, recipe="native" if bank.recipe == "native" else "superpixel")
+                image = develop_photograph(path, bank)
                 path.unlink()
                 labels = corner_regions(image.shape, side_px)
                 for name, used in banks.items():

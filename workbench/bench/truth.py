@@ -20,9 +20,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.bank import Bank, check_fits
+from calibration.bank import Bank
 from calibration.image import LinearImage
-from calibration.raw import develop
+from calibration.photograph import develop_photograph
 from rigs.simulated.scene import SceneTruth
 from workbench.bench.accuracy import outcome_of, timed_estimates
 from workbench.bench.scoring import GRID_MM, Outcome
@@ -153,8 +153,7 @@ def run_truth(
     total, done = len(everything) * len(methods), 0
     singles: list[Single] = []
     for item in everything:
-        image = develop(item.path, recipe="native" if bank.recipe == "native" else "superpixel")
-        check_fits(bank, image)
+        image = develop_photograph(item.path, bank)
         for method in methods:
             chosen = settings.get(method, {})
             if isinstance(item, TruePlane):

@@ -67,8 +67,7 @@ def side_likelihoods(
         pooled = pooled_periodogram(plane, own[:: -(-len(own) // _SPECTRUM_WINDOWS)], model.kernel_lags.shape[1] // 2)
         expected = smeared_power(model.kernel_lags[row : row + 1], pooled.taper_lags, pooled.power.shape[0])
         fit = fit_spectra(pooled.power, max(1.0, 0.7 * pooled.averages), expected)
-        size = (model.kernel_lags.shape[1] + 1) // 2
-        psfs = [model.psfs.psf_at(model.depth_mm(sign * radius), size) for sign in (1.0, -1.0)]
+        psfs = [model.psf_at(sign * radius) for sign in (1.0, -1.0)]
         favour = favour_by_window(plane, everywhere, own, psfs, fit.texture(0))
         odds = overlap * favour @ np.array(learned.side_weights)
         result[cells] = np.stack([log_expit(odds), log_expit(-odds)], axis=1)

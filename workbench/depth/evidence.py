@@ -3,6 +3,7 @@
 1. The region is covered with tapered windows; their periodograms are pooled (:mod:`~workbench.depth.evidence_windows`).
 2. For every |radius| on a fine grid, texture and noise are fitted and the likelihood of the spectrum is taken
    (:mod:`~workbench.depth.evidence_spectrum`). It can't tell the side of focus.
+   Next to focus the photosites themselves refine it (:mod:`~workbench.depth.evidence_view`).
 3. At each of the likelihood's modes, restorations with both sides' PSFs are judged by how sparse they are
    (:mod:`~workbench.depth.evidence_side`): the true blur, on its true side, gives the sparsest.
 4. Both join in one posterior over the signed radius, which is linear in 1/depth. It is tempered and widened by what was
@@ -18,6 +19,7 @@ from numpy.typing import NDArray
 
 from calibration.bank import Bank
 from calibration.image import LinearImage
+from calibration.mosaic import Mosaic
 from workbench.depth.estimate import DepthEstimate, Status
 from workbench.depth.evidence_colour import informative_mixture
 from workbench.depth.evidence_doubt import doubted, unless_another_blur_fits, unless_beyond_reach
@@ -30,7 +32,6 @@ from workbench.depth.evidence_posterior import (
     signed_posterior,
     summarise,
 )
-from workbench.depth.evidence_side import Comparison, compare
 from workbench.depth.evidence_spectrum import (
     SpectralFit,
     fit_spectra,
@@ -38,20 +39,19 @@ from workbench.depth.evidence_spectrum import (
     smeared_power,
 )
 from workbench.depth.evidence_uniform import mixture_gain, parts_loss
-from workbench.depth.evidence_windows import (
-    Pooled,
-    Window,
-    clear_share,
-    covered_pixels,
-    place_windows,
-    pooled_periodogram,
-    soft_mask,
+from workbench.depth.evidence_view import (
+    RAMP_PX,
+    View,
+    compare_sides,
+    joined_likelihood,
+    refine,
+    view_photosites,
 )
+from workbench.depth.evidence_windows import covered_pixels, place_windows, pooled_periodogram, soft_mask
 
 __all__ = [
     "DepthModel",
     "EvidenceOptions",
-    "compare_sides",
     "estimate_evidence",
     "measure_region",
     "observe",
@@ -61,12 +61,9 @@ __all__ = [
 FloatArray = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-_RAMP_PX = 12.0
-_SHAPELESS_PX = 1.5
-_EDGE_TRUST = 0.35
-"""What the comparison of the sides counts where all of the region lies within two radii of its edge."""
-_REFINED_STEPS, _REFINED_FINER, _REFINED_FISHER_STEPS = 2, 3, 5
 _REFINED_WITHIN, _NARROW = 30.0, 5.0
+_NATIVE_WITHIN = 70.0
+"""Photosites are looked at where superpixels leave a blur next to focus within so much log-likelihood of the best."""
 _ENOUGH = 0.7
 """Full windows' worth of region below which smaller windows are tried."""
 _LOW_CYCLES = 6.0
@@ -105,7 +102,8 @@ def estimate_evidence(
         mask = labels == label
         mixture = informative_mixture(image, mask & ~image.saturated, options.colour_gain)
         plane = luminance if mixture is None else np.asarray(image.planes @ mixture.astype(np.float32))
-        found[int(label)] = measure_region(plane, image.saturated, mask, model, learned, options)
+        mosaic = image.mosaic if mixture is None else None  # a colour by itself is sampled too coarsely
+        found[int(label)] = measure_region(plane, image.saturated, mask, model, learned, options, mosaic)
     return found
 
 
@@ -113,17 +111,14 @@ def estimate_evidence(
 class Observation:
     """What a region's pixels say, before anything learned is applied."""
 
-    windows: list[Window]
-    pooled: Pooled
-    soft: NDArray[np.float32]
-    """The region with a soft edge, 1 inside; float32 (H, W)."""
-    clear: NDArray[np.float32]
-    """Distance (px) of its pixels from its edge; float32 (H, W)."""
-    fit: SpectralFit
+    view: View
+    photosites: View | None
+    likelihood: FloatArray
+    """float64 (R,): log-likelihood of the spectrum for each of the model's rows, by both views."""
     pixels: float
-    """Pixels' worth of information: sum of the squared tapers' weights."""
+    """Superpixels' worth of information: sum of the squared tapers' weights."""
     covered: int
-    """Pixels that lie in a window."""
+    """Superpixels that lie in a window."""
     low_share: float
     """Share of the lowest frequencies that stand above the noise."""
     line_share: float
@@ -134,11 +129,17 @@ class Observation:
     """Log-likelihood that its parts lose by sharing one blur."""
 
 
-def observe(plane: NDArray[np.float32], mask: Mask, model: DepthModel, options: EvidenceOptions) -> Observation | None:
+def observe(
+    plane: NDArray[np.float32],
+    mask: Mask,
+    model: DepthModel,
+    options: EvidenceOptions,
+    mosaic: Mosaic | None = None,
+) -> Observation | None:
     """Pool the region's windows and fit every blur; None where no window fits."""
     margin = min(options.margin_px, options.margin * float(np.sqrt(mask.sum())))
     size = options.window_px
-    soft, clear = soft_mask(mask, margin_px=margin, ramp_px=_RAMP_PX)
+    soft, clear = soft_mask(mask, margin_px=margin, ramp_px=RAMP_PX)
     while True:
         windows = place_windows(mask, soft, size, least_weight=options.least_weight)
         if sum(w.weight for w in windows) >= _ENOUGH:
@@ -149,15 +150,16 @@ def observe(plane: NDArray[np.float32], mask: Mask, model: DepthModel, options: 
     pooled = pooled_periodogram(plane, windows, model.kernel_lags.shape[1] // 2)
     expected = smeared_power(model.kernel_lags, pooled.taper_lags, size)
     fit = fit_spectra(pooled.power, pooled.trusted, expected, factor=options.factor)
+    view, photosites = View(plane, soft, clear, windows, pooled, fit), None
+    if mosaic is not None and _next_to_focus(fit.log_likelihood, model):
+        photosites = view_photosites(mosaic, mask, size, margin, model, options)
     has_finer = size // 2 >= options.smallest_window_px
     finer = place_windows(mask, soft, size // 2, least_weight=options.least_weight) if has_finer else []
     pixels = sum(w.weight for w in windows) * size * size * 0.25  # half overlap both ways: each pixel counts fourfold
     return Observation(
-        windows,
-        pooled,
-        soft,
-        clear,
-        fit,
+        view,
+        photosites,
+        joined_likelihood(view, photosites),
         max(pixels, size * size * windows[0].weight),
         covered_pixels(mask, windows),
         _low_share(pooled.power, fit),
@@ -167,25 +169,11 @@ def observe(plane: NDArray[np.float32], mask: Mask, model: DepthModel, options: 
     )
 
 
-def refine(seen: Observation, row: int, model: DepthModel, options: EvidenceOptions) -> Refined:
-    """Likelihood about one row on a fine grid, each blur fitted to convergence.
-
-    A large, rich region tells radii apart that differ by far less than the rows do, and few steps from row to row
-    follow such a narrow ridge too slowly.
-    """
-    reach = _REFINED_STEPS * options.radius_step_px
-    offsets = np.linspace(-reach, reach, 2 * _REFINED_STEPS * _REFINED_FINER + 1)
-    radius = model.row_radius_px[row] + offsets
-    if model.row_radius_px.min() >= 0:
-        radius = radius[radius > 0]
-        sigma = radius * np.sign(model.row_sigma_px[row])
-    else:
-        sigma = radius
-    expected = smeared_power(model.lags_at(sigma), seen.pooled.taper_lags, seen.pooled.power.shape[0])
-    start = seen.fit.coefficients[row], float(seen.fit.log_noise[row])
-    fit = fit_spectra(seen.pooled.power, seen.pooled.trusted, expected,
-                      factor=options.factor, start=start, steps=_REFINED_FISHER_STEPS)  # fmt: skip
-    return Refined(radius, fit.log_likelihood)
+def _next_to_focus(likelihood: FloatArray, model: DepthModel) -> bool:
+    if model.native is None:
+        return False
+    near = likelihood[: len(model.native.kernel_lags)]
+    return bool(near.max() > likelihood.max() - _NATIVE_WITHIN)
 
 
 def _narrow(likelihood: FloatArray, row: int) -> bool:
@@ -214,28 +202,6 @@ def _line_share(power: FloatArray, expected: NDArray[np.float32], fit: SpectralF
     return float(ratio[-max(1, ratio.size // 100) :].sum() / ratio.sum())
 
 
-def compare_sides(
-    plane: NDArray[np.float32], seen: Observation, row: int, model: DepthModel, options: EvidenceOptions
-) -> Comparison:
-    """How sparse the far and the near side's restorations are at one row's radius."""
-    radius = abs(float(model.row_radius_px[row]))
-    size = int((model.kernel_lags.shape[1] + 1) // 2)
-    psfs = []
-    for sign in (1.0, -1.0):
-        if sign * radius < model.farthest_px:
-            psfs.append(model.psfs.psf_at(model.depth_mm(sign * radius), size))
-        else:
-            psfs.append(psfs[0][::-1, ::-1] if psfs else model.psfs.psf_at(model.depth_mm(-radius), size)[::-1, ::-1])
-    good = [w for w in seen.windows if w.weight >= 0.6 * seen.windows[0].weight]
-    chosen = good[:: max(1, len(good) // options.side_windows)][: options.side_windows]
-    clue = compare(plane, seen.soft, chosen, psfs, seen.fit.texture(row))
-    # next to focus the lens's own spot hides the aperture's shape, and with it the side
-    shown = -np.expm1(-((radius / _SHAPELESS_PX) ** 2))
-    # near the edge a restoration lacks what the blur carried out of the region
-    trust = min(1.0, _EDGE_TRUST + clear_share(seen.clear, chosen, 2.0 * radius))
-    return Comparison(clue.sparse, shown * trust * clue.favour)
-
-
 def measure_region(
     plane: NDArray[np.float32],
     saturated: Mask,
@@ -243,6 +209,7 @@ def measure_region(
     model: DepthModel,
     learned: Learned,
     options: EvidenceOptions,
+    mosaic: Mosaic | None = None,
 ) -> DepthEstimate:
     """Depth of one region; see :func:`estimate_evidence`."""
     pixels = int(mask.sum())
@@ -250,18 +217,18 @@ def measure_region(
     if clipped > options.max_saturated:
         return _refused(model, "saturated", pixels, f"{clipped:.0%} of its pixels are saturated; expose less")
     usable = mask & ~saturated if clipped > 0.002 else mask
-    seen = observe(plane, usable, model, options)
+    seen = observe(plane, usable, model, options, mosaic)
     if seen is None:
         return _refused(
             model, "no-texture", pixels, f"too small or too thin for a window of {options.smallest_window_px} px"
         )
-    gain = float(seen.fit.log_likelihood.max()) - seen.fit.null
+    gain = float(seen.view.fit.log_likelihood.max()) - seen.view.fit.null
     if gain < options.least_evidence:
         return _refused(model, "no-texture", pixels, "no texture above the noise")
     if _is_strict_pattern(seen):
         reason = "only isolated spatial frequencies stand above the noise (a strict pattern): any blur explains them"
         return _refused(model, "no-texture", pixels, reason)
-    return _conclude(plane, seen, model, learned, options)
+    return _conclude(seen, model, learned, options)
 
 
 def _is_strict_pattern(seen: Observation) -> bool:
@@ -275,16 +242,14 @@ def _refused(model: DepthModel, status: Status, pixels: int, reason: str) -> Dep
     return DepthEstimate(nan, (nan, nan), 0.0, nan, nan, status, model.depths_mm, flat, nan, pixels, reason)
 
 
-def _conclude(
-    plane: NDArray[np.float32], seen: Observation, model: DepthModel, learned: Learned, options: EvidenceOptions
-) -> DepthEstimate:
-    likelihood = seen.fit.log_likelihood
+def _conclude(seen: Observation, model: DepthModel, learned: Learned, options: EvidenceOptions) -> DepthEstimate:
+    likelihood, views = seen.likelihood, (seen.view, seen.photosites)
     modes = find_modes(likelihood, model.row_radius_px)
-    clues = [compare_sides(plane, seen, row, model, options) for row in modes]
+    clues = [compare_sides(*views, row, model, options) for row in modes]
     far, near = mode_scores(clues, np.asarray(model.sides_in_reach[modes].all(axis=1)), seen.pixels, learned)
     best = float(likelihood[modes].max())
     refined = [
-        refine(seen, row, model, options)
+        refine(*views, row, model, options)
         for row in modes
         if likelihood[row] > best - _REFINED_WITHIN and _narrow(likelihood, row)
     ]
@@ -293,7 +258,7 @@ def _conclude(
     diagnostics = {
         "radius_px": model.row_radius_px,
         "log_likelihood": likelihood,
-        "log_likelihood_noise": np.array([seen.fit.null]),
+        "log_likelihood_noise": np.array([seen.view.fit.null]),
         "mode_radius_px": model.row_radius_px[modes],
         "mode_sparseness_far_near": np.stack([far, near]),
     }

@@ -18,11 +18,12 @@ from scipy.optimize import minimize
 from scipy.special import logsumexp
 
 from calibration.bank import Bank
-from workbench.depth.evidence import compare_sides, observe
+from workbench.depth.evidence import observe
 from workbench.depth.evidence_model import LEARNED, DepthModel, EvidenceOptions, Learned, prepare
 from workbench.depth.evidence_posterior import find_modes, mode_scores
 from workbench.depth.evidence_side import FAMILIES, STATISTICS, Comparison
 from workbench.depth.evidence_textures import random_texture
+from workbench.depth.evidence_view import compare_sides
 
 FloatArray = NDArray[np.float64]
 
@@ -137,9 +138,9 @@ def _draw(bank: Bank, model: DepthModel, options: EvidenceOptions, generator: np
     depth_mm = float(1.0 / generator.uniform(*span))
     plane = _photograph(side, model.psfs.psf_at(depth_mm), generator)
     seen = observe(plane, np.ones(plane.shape, np.bool_), model, options)
-    if seen is None or seen.fit.log_likelihood.max() - seen.fit.null < options.least_evidence:
+    if seen is None or seen.likelihood.max() - seen.view.fit.null < options.least_evidence:
         return None
-    likelihood, radius = seen.fit.log_likelihood, np.abs(model.row_radius_px)
+    likelihood, radius = seen.likelihood, np.abs(model.row_radius_px)
     sigma = model.psfs.radius_px(depth_mm)
     tolerance = max(0.8, 0.04 * abs(sigma))
     # the peak next to the truth is always a candidate, found by its height or not
@@ -148,7 +149,7 @@ def _draw(bank: Bank, model: DepthModel, options: EvidenceOptions, generator: np
     peak = int(close[likelihood[close].argmax()])
     if not any(abs(radius[m] - abs(sigma)) < tolerance for m in modes):
         modes.append(peak)
-    clues = [compare_sides(plane, seen, row, model, options) for row in modes]
+    clues = [compare_sides(seen.view, seen.photosites, row, model, options) for row in modes]
     at_radius = np.abs(radius[modes] - abs(sigma)) < tolerance
     both = abs(sigma) < tolerance  # at focus either side is right
     true = np.stack([at_radius & (both or sigma > 0), at_radius & (both or sigma < 0)], axis=1)

@@ -19,7 +19,12 @@ Mask = NDArray[np.bool_]
 
 LEARNED = "evidence_learned_2"
 """Name of :class:`Learned` among a bank's extras."""
+NATIVE_FINER = 2
+"""Photosites a superpixel is wide."""
 _FARTHEST = 0.98
+_LEAST_NATIVE_ROWS = 6
+_AROUND_PX = 3.0
+"""Room (superpixels) that the largest finely drawn PSF needs beyond its radius: core, and what refining adds."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,6 +63,9 @@ class EvidenceOptions:
         is measured instead.
     max_saturated
         Larger fractions of saturated pixels refuse the region.
+    native_px
+        Blurs of smaller radius (superpixels) are judged by the photosites themselves where the RAW file has details of
+        that size; 0 for never.
     factor_spread, factor_wide_share, factor_wide_spread
         Distribution of the texture's factor per frequency (:class:`TextureFactor`).
     """
@@ -78,6 +86,7 @@ class EvidenceOptions:
     least_evidence: float = 12.0
     colour_gain: float = 1.6
     max_saturated: float = 0.1
+    native_px: float = 4.5
     factor_spread: float = 0.5
     factor_wide_share: float = 0.1
     factor_wide_spread: float = 2.5
@@ -97,6 +106,7 @@ class EvidenceOptions:
             varied_px=self.varied_px > 0,
             colour_gain=self.colour_gain > 0,
             max_saturated=0 <= self.max_saturated <= 1,
+            native_px=0 <= self.native_px <= 20,
             factor_spread=0 < self.factor_spread <= 5,
             factor_wide_share=0 <= self.factor_wide_share < 1,
             factor_wide_spread=0 < self.factor_wide_spread <= 10,
@@ -150,6 +160,22 @@ class Learned:
 
 
 @dataclass(frozen=True, slots=True)
+class NativeModel:
+    """PSFs at the photosites' pitch for the blurs next to focus.
+
+    Attributes
+    ----------
+    psfs
+        PSF at any depth, on photosites.
+    kernel_lags
+        float32 (n, 2 L + 1, 2 L + 1): autocorrelations of the first n rows of the :class:`DepthModel`.
+    """
+
+    psfs: PupilModel
+    kernel_lags: NDArray[np.float32]
+
+
+@dataclass(frozen=True, slots=True)
 class DepthModel:
     """A bank made ready for measuring.
 
@@ -183,6 +209,8 @@ class DepthModel:
     sigma_se_px: FloatArray
     psf_error: float
     """Standard error of the PSFs relative to their values, taken for white."""
+    native: NativeModel | None
+    """None where PSFs can't be drawn finer than they were measured, or blurs next to focus are out of reach."""
 
     @property
     def sides_in_reach(self) -> Mask:
@@ -197,14 +225,22 @@ class DepthModel:
 
     def depth_mm(self, sigma_px: float) -> float:
         """Depth of a signed radius."""
-        far, near = self.psfs.radius_px(1e12), self.psfs.radius_px(1.0)
-        return (near - far) / (sigma_px - far)
+        return float(_depths_of(self.psfs, np.float64(sigma_px)))
 
-    def lags_at(self, sigma_px: FloatArray) -> NDArray[np.float32]:
+    def psf_at(self, sigma_px: float, finer: int = 1) -> NDArray[np.float32]:
+        """PSF of a signed radius, float32 (K, K); ``finer`` is the number of pixels a superpixel is wide."""
+        psfs, lags = self._at_pitch(finer)
+        return psfs.psf_at(self.depth_mm(sigma_px), (lags.shape[1] + 1) // 2)
+
+    def lags_at(self, sigma_px: FloatArray, finer: int = 1) -> NDArray[np.float32]:
         """Autocorrelations like ``kernel_lags`` for any signed radii, float32 (n, 2 L + 1, 2 L + 1)."""
-        size = (self.kernel_lags.shape[1] + 1) // 2
-        psfs = (self.psfs.psf_at(self.depth_mm(float(sigma)), size) for sigma in sigma_px)
-        return np.stack([_autocorrelation(psf, self.psf_error) for psf in psfs])
+        return np.stack([_autocorrelation(self.psf_at(float(sigma), finer), self.psf_error) for sigma in sigma_px])
+
+    def _at_pitch(self, finer: int) -> tuple[PsfModel, NDArray[np.float32]]:
+        if finer == 1:
+            return self.psfs, self.kernel_lags
+        assert self.native is not None
+        return self.native.psfs, self.native.kernel_lags
 
 
 def prepare(bank: Bank, options: EvidenceOptions, field_index: int | None = None) -> DepthModel:
@@ -226,14 +262,30 @@ def prepare(bank: Bank, options: EvidenceOptions, field_index: int | None = None
         radius = np.abs(rows)
     else:
         row_of, rows, radius = index - low, sigma, sigma
-    far, near = psfs.radius_px(1e12), psfs.radius_px(1.0)
-    depths = (near - far) / (sigma - far)
+    depths = _depths_of(psfs, sigma)
     size = int(bank.psf.shape[2]) + 4
     error = float(np.clip(np.nanmedian(psfs.residual), 0.01, 0.2))
-    lags = [_autocorrelation(psfs.psf_at(float((near - far) / (r - far)), size), error) for r in rows]
+    lags = [_autocorrelation(psfs.psf_at(float(z), size), error) for z in _depths_of(psfs, rows)]
     lens = bank.lens
     se = np.hypot(lens.scale_se_px * (1.0 - lens.focus_mm / depths), lens.scale_px * lens.focus_se_mm / depths)
-    return DepthModel(psfs, sigma, depths, row_of, radius, rows, np.stack(lags), se, error)
+    native = None
+    if isinstance(psfs, PupilModel) and bank.recipe == "superpixel":
+        native = _prepare_native(psfs, _depths_of(psfs, rows[radius < options.native_px]), options.native_px, error)
+    return DepthModel(psfs, sigma, depths, row_of, radius, rows, np.stack(lags), se, error, native)
+
+
+def _prepare_native(psfs: PupilModel, depths_mm: FloatArray, reach_px: float, error: float) -> NativeModel | None:
+    if depths_mm.size < _LEAST_NATIVE_ROWS:
+        return None
+    finer = psfs.finer(NATIVE_FINER)
+    size = int(np.ceil(2 * NATIVE_FINER * (reach_px + _AROUND_PX)))
+    return NativeModel(finer, np.stack([_autocorrelation(finer.psf_at(float(z), size), error) for z in depths_mm]))
+
+
+def _depths_of(psfs: PsfModel, sigma_px: FloatArray | np.float64) -> FloatArray:
+    """Depths (mm) of signed radii, which are linear in 1/z."""
+    far, near = psfs.radius_px(1e12), psfs.radius_px(1.0)
+    return np.asarray((near - far) / (sigma_px - far), np.float64)
 
 
 def _autocorrelation(psf: NDArray[np.float32], error: float) -> NDArray[np.float32]:

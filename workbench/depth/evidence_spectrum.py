@@ -24,16 +24,14 @@ from workbench.depth.compiled import compiled
 FloatArray = NDArray[np.float64]
 Float32 = NDArray[np.float32]
 
-_KNOTS = np.log(np.array([0.02, 0.045, 0.09, 0.18, 0.36]))
-"""Log frequencies (cycles per pixel) between which log S is linear."""
 _SLOPE, _SLOPE_SD = -2.4, 0.8
 """Expected fall of log power with log frequency, over all knots; amplitudes of scenes fall as 1/f (Field 1987)."""
 _BEND_SD = 0.8
 """Expected change of that slope from knot to knot, times the knots' distance."""
 _DIRECTION_SD = 0.8
-_RIDGE_WIDTH, _RIDGE_SD, _NO_RIDGE_SD = 0.012, 2.0, 0.01
-"""Width (cycles per pixel) of a ridge of power along the texture's axis or across it, and how steeply it may fall off.
-Wood grain, planks and shelves hold nearly all of their power within a few frequencies of a line through the origin."""
+_RIDGE_SD, _NO_RIDGE_SD = 2.0, 0.01
+"""How steeply a ridge of power along the texture's axis, or across it, may fall off. Wood grain, planks and shelves
+hold nearly all of their power within a few frequencies of a line through the origin."""
 _COHERENT = 0.5
 """Coherence of the gradients' directions from which on there are ridges; charts, photographs and brick have less."""
 _LOW, _STEP, _CELLS = -12.0, 0.125, 256
@@ -44,6 +42,40 @@ _SMEARED_AT_ONCE = 8
 _AVERAGES = (1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 18.0, 27.0, 40.0)
 FIRST_CYCLE = 2.0
 """Frequencies with fewer cycles per window are left out: shading and the taper's main lobe."""
+
+
+@dataclass(frozen=True)
+class Band:
+    """Which frequencies count, and what shapes log S may have there; all in cycles per pixel.
+
+    Attributes
+    ----------
+    knots
+        Log S is linear in log frequency between these.
+    highest
+        Higher frequencies are left out.
+    ridge_width
+        Of a ridge of power along the texture's axis or across it.
+    roll_off
+        Frequency at which the texture's own softness may take about a factor of e off S, as f^2 in log S; 0 for none.
+    """
+
+    knots: tuple[float, ...] = (0.02, 0.045, 0.09, 0.18, 0.36)
+    highest: float = 0.5
+    ridge_width: float = 0.012
+    roll_off: float = 0.0
+
+    @property
+    def log_knots(self) -> FloatArray:
+        """Natural logarithms of the knots, float64 (K,)."""
+        return np.asarray(np.log(np.array(self.knots)), np.float64)
+
+
+SUPERPIXELS = Band()
+PHOTOSITES = Band((0.01, 0.0225, 0.045, 0.09, 0.18, 0.36), 0.36, 0.006, 0.25)
+"""At half the pitch. What the colour filters' carriers spread stays beyond it, and so does most of what the
+demosaicing kernel takes away. Few textures keep falling as a power of frequency up to there: prints and paint have a
+finest detail."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,6 +94,8 @@ class SpectralFit:
         float64 (D,): log n.
     axis
         Direction (rad) in the frequency plane that holds most of the power; the basis has ridges along and across it.
+    band
+        Frequencies that were used.
     """
 
     log_likelihood: FloatArray
@@ -69,10 +103,11 @@ class SpectralFit:
     coefficients: FloatArray
     log_noise: FloatArray
     axis: float
+    band: Band = SUPERPIXELS
 
     def texture(self, row: int) -> TextureSpectrum:
         """What was fitted for one blur."""
-        return TextureSpectrum(self.coefficients[row], float(self.log_noise[row]), self.axis)
+        return TextureSpectrum(self.coefficients[row], float(self.log_noise[row]), self.axis, self.band)
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,34 +117,40 @@ class TextureSpectrum:
     coefficients: FloatArray
     log_noise: float
     axis: float
+    band: Band = SUPERPIXELS
 
     def log_power(self, modulus: FloatArray, direction: FloatArray) -> FloatArray:
         """Log S at flattened frequencies, float64 (F,)."""
-        return np.asarray(basis(modulus, direction, self.axis) @ self.coefficients)
+        return np.asarray(basis(modulus, direction, self.axis, self.band) @ self.coefficients)
 
 
-def frequencies(size: int) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
+def frequencies(size: int, band: Band = SUPERPIXELS) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
     """|f| and direction on the half plane (N, N // 2 + 1), and which of it is used (each frequency once)."""
     fy, fx = fft.fftfreq(size)[:, np.newaxis], fft.rfftfreq(size)[np.newaxis, :]
     modulus = np.hypot(fy, fx)
-    used = (modulus * size >= FIRST_CYCLE) & (modulus <= 0.5) & ~((fx == 0) & (fy < 0))
+    used = (modulus * size >= FIRST_CYCLE) & (modulus <= band.highest) & ~((fx == 0) & (fy < 0))
     return modulus, np.arctan2(fy + 0 * fx, fx + 0 * fy), used
 
 
-def basis(modulus: FloatArray, direction: FloatArray, axis: float) -> FloatArray:
-    """Basis of log S for flattened frequencies, float64 (F, P): radial hats, gentle turns, ridges along and across."""
+def basis(modulus: FloatArray, direction: FloatArray, axis: float, band: Band = SUPERPIXELS) -> FloatArray:
+    """Basis of log S for flattened frequencies, float64 (F, P).
+
+    Radial hats, gentle turns, the roll-off where the band has one, ridges along and across.
+    """
+    knots = band.log_knots
     u = np.log(np.maximum(modulus, 1e-4))
-    cell = np.clip(np.searchsorted(_KNOTS, u) - 1, 0, _KNOTS.size - 2)
-    share = (u - _KNOTS[cell]) / (_KNOTS[cell + 1] - _KNOTS[cell])  # beyond 0..1 outside: extrapolates
-    hats = np.zeros((u.size, _KNOTS.size))
+    cell = np.clip(np.searchsorted(knots, u) - 1, 0, knots.size - 2)
+    share = (u - knots[cell]) / (knots[cell + 1] - knots[cell])  # beyond 0..1 outside: extrapolates
+    hats = np.zeros((u.size, knots.size))
     hats[np.arange(u.size), cell] = 1.0 - share
     hats[np.arange(u.size), cell + 1] = share
-    fine = np.clip((u - _KNOTS[0]) / (_KNOTS[-1] - _KNOTS[0]), 0.0, 1.0)
+    fine = np.clip((u - knots[0]) / (knots[-1] - knots[0]), 0.0, 1.0)
     c2, s2 = np.cos(2 * direction), np.sin(2 * direction)
     turns = [c2 * (1 - fine), c2 * fine, s2 * (1 - fine), s2 * fine, np.cos(4 * direction), np.sin(4 * direction)]
     away = (modulus * np.sin(direction - axis), modulus * np.cos(direction - axis))
-    ridges = [-np.log1p((f / _RIDGE_WIDTH) ** 2) for f in away]
-    return np.concatenate([hats, np.stack(turns + ridges, axis=1)], axis=1)
+    ridges = [-np.log1p((f / band.ridge_width) ** 2) for f in away]
+    soft = [-((np.minimum(modulus, band.highest) / band.roll_off) ** 2)] if band.roll_off else []
+    return np.concatenate([hats, np.stack(turns + soft + ridges, axis=1)], axis=1)
 
 
 def _axis(power: FloatArray, modulus: FloatArray, direction: FloatArray) -> tuple[float, float]:
@@ -122,12 +163,12 @@ def _axis(power: FloatArray, modulus: FloatArray, direction: FloatArray) -> tupl
     return 0.5 * float(np.angle(turn)), abs(turn) / max(float(weight.sum()), 1e-30)
 
 
-def _prior(width: int, ridge_sd: float) -> tuple[FloatArray, FloatArray]:
+def _prior(width: int, log_knots: FloatArray, ridge_sd: float) -> tuple[FloatArray, FloatArray]:
     """Precision and precision times mean of the Gaussian prior on the basis's coefficients."""
-    knots = _KNOTS.size
+    knots = log_knots.size
     rows, values = [], []
     slope = np.zeros(width)
-    slope[[0, knots - 1]] = np.array([-1.0, 1.0]) / (_KNOTS[-1] - _KNOTS[0]) / _SLOPE_SD
+    slope[[0, knots - 1]] = np.array([-1.0, 1.0]) / (log_knots[-1] - log_knots[0]) / _SLOPE_SD
     rows.append(slope)
     values.append(_SLOPE / _SLOPE_SD)
     for j in range(1, knots - 1):
@@ -254,6 +295,7 @@ def fit_spectra(
     factor: TextureFactor | None = None,
     start: tuple[FloatArray, float] | None = None,
     steps: int = 2,
+    band: Band = SUPERPIXELS,
 ) -> SpectralFit:
     """Fit texture and noise for every blur and say how well it explains the periodogram.
 
@@ -274,25 +316,27 @@ def fit_spectra(
         Coefficients and log noise to start from; without them they are sought for the first blur.
     steps
         Fisher scoring steps for each blur.
+    band
+        Frequencies that count.
     """
     factor = factor or TextureFactor()
     size = power.shape[0]
-    modulus, direction, used = frequencies(size)
+    modulus, direction, used = frequencies(size, band)
     axis, coherence = _axis(power[used], modulus[used], direction[used])
-    terms = basis(modulus[used], direction[used], axis)
+    terms = basis(modulus[used], direction[used], axis, band)
     log_power = np.log(np.maximum(power[used], 1e-16)).astype(np.float32)
     log_expected = np.log(np.maximum(expected[:, used], 1e-9)).astype(np.float32)
     worth = min(_AVERAGES, key=lambda a: abs(np.log(a / max(averages, 1.0))))
     tables = _tables(worth, factor.spread, factor.wide_share, factor.wide_spread)
     # ridges where one direction prevails only: elsewhere they lead the few scoring steps astray
-    precision, pull = _prior(terms.shape[1], _RIDGE_SD if coherence > _COHERENT else _NO_RIDGE_SD)
+    precision, pull = _prior(terms.shape[1], band.log_knots, _RIDGE_SD if coherence > _COHERENT else _NO_RIDGE_SD)
     # the lowest tenth is noise, or less than texture: single periodograms scatter far below their mean
     noise = float(np.log(max(float(np.percentile(power[used], 10)), 1e-16) / (0.3 if worth < 4 else 1.0)))
     arguments = (np.ascontiguousarray(terms.T, np.float32), precision, pull)
     if start is None:
         first = np.zeros(terms.shape[1])
-        low = modulus[used] < np.exp(_KNOTS[1]) * 1.4
-        first[: _KNOTS.size] = np.median(log_power[low]) + _SLOPE * (_KNOTS - _KNOTS[0])
+        low = modulus[used] < band.knots[1] * 1.4
+        first[: len(band.knots)] = np.median(log_power[low]) + _SLOPE * (band.log_knots - band.log_knots[0])
         _, warm, warm_noise = _scan(
             log_power, log_expected[:1], *arguments, first, noise, noise, 12, correlation, *tables
         )
@@ -300,7 +344,7 @@ def fit_spectra(
     likelihood, coefficients, log_noise = _scan(
         log_power, log_expected, *arguments, *start, noise, steps, correlation, *tables
     )
-    return SpectralFit(likelihood, _noise_alone(log_power, tables[0], correlation), coefficients, log_noise, axis)
+    return SpectralFit(likelihood, _noise_alone(log_power, tables[0], correlation), coefficients, log_noise, axis, band)
 
 
 def _noise_alone(log_power: Float32, table: Float32, correlation: float) -> float:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +12,7 @@ from scipy import fft
 from calibration.bank import Bank
 from calibration.image import FrameInfo, LinearImage
 from calibration.lens_fit import fit_lens
+from calibration.mosaic import Mosaic, superpixels
 
 FOCUS_MM, SCALE_PX, HALF = 1600.0, 13.0, 20
 OUTLINE = np.array([[-4.7, -5.2], [4.7, -5.2], [4.7, -2.9], [0.2, 5.2], [-2.7, 5.2], [1.7, -2.9], [-4.7, -2.9]]) / 7.0
@@ -20,12 +23,13 @@ def radius_px(depth_mm: float) -> float:
     return SCALE_PX * (1.0 - FOCUS_MM / depth_mm)
 
 
-def draw_psf(depth_mm: float, finer: int = 16) -> NDArray[np.float64]:
+def draw_psf(depth_mm: float, finer: int = 16, *, per_superpixel: int = 1) -> NDArray[np.float64]:
+    """PSF on superpixels, or on the photosites that are so many a superpixel."""
     side = 2 * HALF + 1
     canvas = np.zeros((side * finer, side * finer), np.uint8)
     # a spot of 0.4 px at least, as every real lens makes
     size = radius_px(depth_mm)
-    size = size if abs(size) > 0.4 else 0.4
+    size = (size if abs(size) > 0.4 else 0.4) * per_superpixel
     corners = ((OUTLINE * size + HALF + 0.5) * finer - 0.5) * 256
     cv2.fillPoly(canvas, [np.rint(corners).astype(np.int32)], 255, shift=8)
     psf = canvas.reshape(side, finer, side, finer).mean(axis=(1, 3)).astype(np.float64)
@@ -58,12 +62,26 @@ def leaves(side: int, seed: int) -> NDArray[np.float64]:
 
 def photograph(texture: NDArray[np.float64], depth_mm: float, *, noise: float = 0.003, seed: int = 1) -> LinearImage:
     """Blur, cut off what the border spoils, add noise; three equal channels."""
-    size = fft.next_fast_len(texture.shape[0] + 2 * HALF, real=True)
-    blurred = fft.irfft2(fft.rfft2(texture, s=(size, size)) * fft.rfft2(draw_psf(depth_mm), s=(size, size)))
-    inner = blurred[2 * HALF : texture.shape[0], 2 * HALF : texture.shape[1]]
+    inner = blurred(texture, draw_psf(depth_mm))
     generator = np.random.default_rng(seed)
     planes = inner[..., np.newaxis] + noise * generator.standard_normal((*inner.shape, 3))
     return as_image(planes.astype(np.float32))
+
+
+def photograph_mosaic(texture: NDArray[np.float64], depth_mm: float, *, seed: int = 1) -> LinearImage:
+    """The same of a texture that is drawn for photosites, grey light on an RGGB mosaic."""
+    light = blurred(texture, draw_psf(depth_mm, per_superpixel=2))
+    light = light[: light.shape[0] & ~1, : light.shape[1] & ~1]
+    noisy = light + 0.006 * np.random.default_rng(seed).standard_normal(light.shape)
+    mosaic = Mosaic(np.rint(512 + noisy * 15000).clip(0, 16000).astype(np.uint16), (0, 1, 3, 2), (512.0,) * 4, 15512.0)
+    return replace(as_image(superpixels(mosaic)[0]), mosaic=mosaic)
+
+
+def blurred(texture: NDArray[np.float64], psf: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Convolution without what the border spoils."""
+    size = fft.next_fast_len(texture.shape[0] + 2 * HALF, real=True)
+    whole = fft.irfft2(fft.rfft2(texture, s=(size, size)) * fft.rfft2(psf, s=(size, size)))
+    return np.asarray(whole[2 * HALF : texture.shape[0], 2 * HALF : texture.shape[1]])
 
 
 def as_image(planes: NDArray[np.float32]) -> LinearImage:

@@ -34,6 +34,13 @@ def test_pupil_beats_blending_neighbours_between_distant_planes(bank: Bank, pupi
     assert misfit(pupil.psf_at(900.0, 41), draw_psf(900.0)) < misfit(blend.psf_at(900.0, 41), draw_psf(900.0))
 
 
+@pytest.mark.parametrize("depth_mm", [1400.0, 1500.0, 1700.0, 1900.0])
+def test_psf_drawn_for_photosites_matches_a_drawn_one(pupil: PupilModel, depth_mm: float) -> None:
+    """Its aperture's shape is known from large blurs: planes 40 cm apart hold nothing of it next to focus."""
+    fine = pupil.finer(2).psf_at(depth_mm, 41)
+    assert misfit(fine, draw_psf(depth_mm, per_superpixel=2)) < 0.2
+
+
 def test_model_survives_storage_as_arrays(pupil: PupilModel) -> None:
     again = PupilModel.from_arrays(pupil.as_arrays())
     np.testing.assert_allclose(again.psf_at(1234.0), pupil.psf_at(1234.0), atol=1e-7)

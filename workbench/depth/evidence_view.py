@@ -1,0 +1,198 @@
+"""A region as it is seen at one pitch: its windows, its spectrum fitted for every blur, its restorations compared.
+
+Superpixels serve for all blurs. Next to focus the aperture's shape lies in frequencies that they mix up or don't hold:
+there the photosites are looked at themselves, where the RAW file has details of that size and the bank a model of the
+pupil that can be drawn so fine.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import fft
+
+from calibration.mosaic import Mosaic, native_luminance_power, native_pixels
+from workbench.depth.evidence_model import NATIVE_FINER, DepthModel, EvidenceOptions
+from workbench.depth.evidence_posterior import Refined
+from workbench.depth.evidence_side import Comparison, compare
+from workbench.depth.evidence_spectrum import PHOTOSITES, SpectralFit, fit_spectra, smeared_power
+from workbench.depth.evidence_windows import (
+    Pooled,
+    Window,
+    clear_share,
+    place_windows,
+    pooled_periodogram,
+    soft_mask,
+)
+from workbench.depth.regions import bounding_box
+
+FloatArray = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+RAMP_PX = 12.0
+_CONTEXT_PX = 48
+"""What is kept of the picture around a region's box; restorations look so far beyond their windows."""
+_SHAPELESS_PX, _SHAPELESS_NATIVE_PX = 1.5, 1.0
+"""Radius (superpixels) below which the lens's own spot and the pixels hide the aperture's shape, and so the side."""
+_EDGE_TRUST = 0.35
+"""What the comparison of the sides counts where all of the region lies within two radii of its edge."""
+_REFINED_STEPS, _REFINED_FINER, _REFINED_FISHER_STEPS = 2, 3, 5
+_ANCHOR_ROWS = 3
+_NATIVE_FISHER_STEPS = 4
+
+
+@dataclass(frozen=True, slots=True)
+class View:
+    """A region's pixels of one pitch.
+
+    Attributes
+    ----------
+    plane
+        float32 (h, w).
+    soft, clear
+        float32 (h, w): the region with a soft edge, 1 inside, and the distance (px) of its pixels from its edge.
+    windows
+        That cover it, heaviest first.
+    pooled
+        Their periodogram, free of what the pixels themselves take away.
+    fit
+        Texture and noise for each of the model's rows from the first on.
+    finer
+        Pixels a superpixel is wide.
+    """
+
+    plane: NDArray[np.float32]
+    soft: NDArray[np.float32]
+    clear: NDArray[np.float32]
+    windows: list[Window]
+    pooled: Pooled
+    fit: SpectralFit
+    finer: int = 1
+
+
+def view_photosites(
+    mosaic: Mosaic, mask: Mask, window_px: int, margin_px: float, model: DepthModel, options: EvidenceOptions
+) -> View | None:
+    """A region's photosites, its spectrum fitted for the blurs next to focus.
+
+    Parameters
+    ----------
+    mosaic
+        Of the whole photograph.
+    mask
+        bool (H, W): usable superpixels of the region.
+    window_px, margin_px
+        Side of the windows, and the strip along the region's edge that is kept out, as for superpixels, in their unit.
+    model, options
+        The bank made ready; its ``native`` part.
+
+    Returns
+    -------
+    View or None
+        Grey light is assumed: red and blue are weighed so that the region's mean is grey. None where a channel is dark,
+        or no window fits.
+    """
+    assert model.native is not None
+    rows, columns = (
+        slice(part.start, min(part.stop, length))
+        for part, length in zip(bounding_box(mask, _CONTEXT_PX), mask.shape, strict=True)
+    )
+    inside = mask[rows, columns].repeat(NATIVE_FINER, axis=0).repeat(NATIVE_FINER, axis=1)
+    planes, _ = native_pixels(mosaic.part(rows, columns))
+    level = planes[inside].mean(axis=0, dtype=np.float64)
+    if level.min() <= 0.02 * level.max():
+        return None
+    grey = np.array([0.25, 0.5, 0.25]) * level[1] / level
+    plane = np.asarray(planes @ grey.astype(np.float32))
+    size = NATIVE_FINER * window_px
+    soft, clear = soft_mask(inside, margin_px=NATIVE_FINER * margin_px, ramp_px=NATIVE_FINER * RAMP_PX)
+    windows = place_windows(inside, soft, size, least_weight=options.least_weight)
+    if not windows:
+        return None
+    lags = model.native.kernel_lags
+    seen = pooled_periodogram(plane, windows, lags.shape[1] // 2)
+    kept = native_luminance_power(fft.fftfreq(size)[:, np.newaxis], fft.rfftfreq(size)[np.newaxis, :])
+    pooled = Pooled(seen.power / np.maximum(kept, 1e-3), seen.averages, seen.taper_lags)
+    expected = smeared_power(lags, pooled.taper_lags, size)
+    fit = fit_spectra(pooled.power, pooled.trusted, expected,
+                      factor=options.factor, steps=_NATIVE_FISHER_STEPS, band=PHOTOSITES)  # fmt: skip
+    return View(plane, soft, clear, windows, pooled, fit, NATIVE_FINER)
+
+
+def joined_likelihood(superpixels: View, photosites: View | None) -> FloatArray:
+    """Log-likelihood of every row, float64 (R,): that of superpixels, its shape next to focus by photosites.
+
+    The two are of different data and differ by a constant, which is taken from the last rows that both have.
+    """
+    likelihood = superpixels.fit.log_likelihood
+    if photosites is None:
+        return likelihood
+    joined = likelihood.copy()
+    joined[: photosites.fit.log_likelihood.size] = photosites.fit.log_likelihood + _offset(superpixels, photosites)
+    return joined
+
+
+def _offset(superpixels: View, photosites: View) -> float:
+    rows = photosites.fit.log_likelihood.size
+    shared = slice(rows - _ANCHOR_ROWS, rows)
+    return float((superpixels.fit.log_likelihood[shared] - photosites.fit.log_likelihood[shared]).mean())
+
+
+def refine(
+    superpixels: View, photosites: View | None, row: int, model: DepthModel, options: EvidenceOptions
+) -> Refined:
+    """Likelihood about one row on a fine grid, each blur fitted to convergence.
+
+    A large, rich region tells radii apart that differ by far less than the rows do, and few steps from row to row
+    follow such a narrow ridge too slowly.
+    """
+    view, offset = superpixels, 0.0
+    if photosites is not None and row < photosites.fit.log_likelihood.size:
+        view, offset = photosites, _offset(superpixels, photosites)
+    reach = _REFINED_STEPS * options.radius_step_px
+    offsets = np.linspace(-reach, reach, 2 * _REFINED_STEPS * _REFINED_FINER * view.finer + 1)
+    radius = model.row_radius_px[row] + offsets
+    if model.row_radius_px.min() >= 0:
+        radius = radius[radius > 0]
+        sigma = radius * np.sign(model.row_sigma_px[row])
+    else:
+        sigma = radius
+    expected = smeared_power(model.lags_at(sigma, view.finer), view.pooled.taper_lags, view.pooled.power.shape[0])
+    start = view.fit.coefficients[row], float(view.fit.log_noise[row])
+    fit = fit_spectra(view.pooled.power, view.pooled.trusted, expected, factor=options.factor,
+                      start=start, steps=_REFINED_FISHER_STEPS, band=view.fit.band)  # fmt: skip
+    return Refined(radius, fit.log_likelihood + offset)
+
+
+def compare_sides(
+    superpixels: View, photosites: View | None, row: int, model: DepthModel, options: EvidenceOptions
+) -> Comparison:
+    """How sparse the far and the near side's restorations are at one row's radius.
+
+    How sparse they are by themselves is read from superpixels at every row, so that rows can be compared; how much one
+    side is favoured, from photosites next to focus.
+    """
+    clue = _compare(superpixels, row, model, options, _SHAPELESS_PX)
+    if photosites is None or row >= photosites.fit.log_likelihood.size:
+        return clue
+    return Comparison(clue.sparse, _compare(photosites, row, model, options, _SHAPELESS_NATIVE_PX).favour)
+
+
+def _compare(view: View, row: int, model: DepthModel, options: EvidenceOptions, shapeless_px: float) -> Comparison:
+    radius = abs(float(model.row_radius_px[row]))
+    psfs: list[NDArray[np.float32]] = []
+    for sign in (1.0, -1.0):
+        if sign * radius < model.farthest_px:
+            psfs.append(model.psf_at(sign * radius, view.finer))
+        else:
+            psfs.append((psfs[0] if psfs else model.psf_at(-radius, view.finer))[::-1, ::-1])
+    good = [w for w in view.windows if w.weight >= 0.6 * view.windows[0].weight]
+    chosen = good[:: max(1, len(good) // options.side_windows)][: options.side_windows]
+    clue = compare(view.plane, view.soft, chosen, psfs, view.fit.texture(row))
+    # next to focus the lens's own spot hides the aperture's shape, and with it the side
+    shown = -np.expm1(-((radius / shapeless_px) ** 2))
+    # near the edge a restoration lacks what the blur carried out of the region
+    trust = min(1.0, _EDGE_TRUST + clear_share(view.clear, chosen, 2.0 * radius * view.finer))
+    return Comparison(clue.sparse, shown * trust * clue.favour)
