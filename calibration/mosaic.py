@@ -21,6 +21,9 @@ SATURATION_FRACTION = 0.99
 """A photosite at or above this fraction of white counts as saturated (sensors clip a little below the stated white)."""
 
 _CHANNELS = {"R": 0, "G": 1, "B": 2}
+_KERNEL = np.array([1.0, 2.0, 1.0], np.float32) / 4.0
+_DARK = 0.02
+"""A channel with less than this part of the brightest one's light can't be made grey."""
 _RESOLVED = 0.9
 """Least ratio of squared differences within cells to those across them where photosites see details of their own."""
 
@@ -70,7 +73,6 @@ def native_pixels(mosaic: Mosaic) -> tuple[NDArray[np.float32], NDArray[np.bool_
     shape = mosaic.photosites.shape
     planes = np.empty((*shape, 3), np.float32)
     clipped = np.zeros(shape, np.uint8)
-    kernel = np.array([1.0, 2.0, 1.0], np.float32) / 4.0
     for channel in range(3):
         sparse = np.zeros(shape, np.float32)
         for position, index in enumerate(mosaic.pattern):
@@ -82,14 +84,41 @@ def native_pixels(mosaic: Mosaic) -> tuple[NDArray[np.float32], NDArray[np.bool_
             clipped[cell] = values >= SATURATION_FRACTION * span
         # reflect_101 keeps the parity of the mosaic, so that the border needs no case of its own; the kernel hits
         # a quarter of its weight in R and B photosites, half in G, wherever it stands
-        filled = cv2.sepFilter2D(sparse, cv2.CV_32F, kernel, kernel, borderType=cv2.BORDER_REFLECT_101)
+        filled = cv2.sepFilter2D(sparse, cv2.CV_32F, _KERNEL, _KERNEL, borderType=cv2.BORDER_REFLECT_101)
         planes[:, :, channel] = filled * np.float32(2.0 if channel == 1 else 4.0)
     saturated = cv2.dilate(clipped, np.ones((3, 3), np.uint8)) > 0
     return planes, np.asarray(saturated, np.bool_)
 
 
+def grey_photosites(mosaic: Mosaic, inside: NDArray[np.bool_]) -> NDArray[np.float32] | None:
+    """Luminance at photosite pitch of light that is made grey, float32 (2 H, 2 W); as of :func:`native_pixels`.
+
+    Parameters
+    ----------
+    mosaic
+        Of the photograph, or a part of it.
+    inside
+        bool (H, W): cells whose mean is to be grey, in the first green photosite's unit.
+
+    Returns
+    -------
+    ndarray or None
+        None where a channel is too dark to be made grey.
+    """
+    channels = [_channel(mosaic, position) for position in range(4)]
+    levels = [float(channel[inside].mean(dtype=np.float64)) for channel in channels]
+    if min(levels) <= _DARK * max(levels):
+        return None
+    green = mosaic.pattern.index(1)
+    sites = np.empty(mosaic.photosites.shape, np.float32)
+    for position, (channel, level) in enumerate(zip(channels, levels, strict=True)):
+        gain = levels[green] / level / (mosaic.white - mosaic.blacks[1])
+        sites[position // 2 :: 2, position % 2 :: 2] = channel * np.float32(gain)
+    return np.asarray(cv2.sepFilter2D(sites, cv2.CV_32F, _KERNEL, _KERNEL, borderType=cv2.BORDER_REFLECT_101))
+
+
 def native_luminance_power(fy: NDArray[np.float64], fx: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Squared response of :func:`native_pixels`'s luminance to grey light, at frequencies in cycles per photosite."""
+    """Squared response of a luminance at photosite pitch to grey light, at frequencies in cycles per photosite."""
     return np.asarray((np.cos(np.pi * fy) * np.cos(np.pi * fx)) ** 4, np.float64)
 
 

@@ -32,6 +32,8 @@ GOOD_RESIDUAL = 0.15
 this describes the bank worse than blending neighbours does."""
 _PREFIX = "pupil_"
 _ENDS = 1e-9
+_CORES = 6.0
+"""Standard deviations of the core beyond which nothing of it is left."""
 
 
 class PsfModel(Protocol):
@@ -48,6 +50,10 @@ class PsfModel(Protocol):
 
     def psf_at(self, depth_mm: float, size: int | None = None) -> NDArray[np.float32]:
         """PSF at a depth, float32 (K, K), unit sum."""
+        ...
+
+    def side_px(self, depth_mm: float) -> int:
+        """Odd side K that holds all of the PSF at a depth."""
         ...
 
 
@@ -104,6 +110,11 @@ class PupilModel:
             core=self.core_px,
         )
         return np.asarray(picture / max(float(picture.sum()), 1e-12), np.float32)
+
+    def side_px(self, depth_mm: float) -> int:
+        """Odd side K that holds all of the PSF at a depth: its picture, its core and its chief ray's place."""
+        reach = self.half_extent * abs(self.radius_px(depth_mm)) + _CORES * self.core_px
+        return 2 * int(np.ceil(reach + max(map(abs, self.chief_yx(depth_mm))) + 0.5)) + 1
 
     def finer(self, factor: int) -> PupilModel:
         """The same on pixels ``factor`` times as fine: what a bank of superpixels says of single photosites."""
@@ -187,6 +198,10 @@ class PsfInterpolator:
         ]
         blend = np.maximum(np.sum(parts, axis=0), 0.0)
         return np.asarray(blend / max(float(blend.sum()), 1e-12), np.float32)
+
+    def side_px(self, depth_mm: float) -> int:  # noqa: ARG002 - measured PSFs are all of one size
+        """Side K that holds all of the PSF at a depth: that of the measured ones."""
+        return int(self.psf.shape[1])
 
     def _scaled(self, index: int, radius: float, size: int) -> FloatArray:
         own = self.radius_px(float(self.depths_mm[index]))

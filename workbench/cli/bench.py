@@ -13,7 +13,7 @@ from typing import Any
 import click
 
 from calibration.bank import Bank, save_bank
-from calibration.raw import develop
+from calibration.photograph import develop_photograph
 from rigs.simulated.rig import render_scene_frame
 from workbench.banks import open_bank
 from workbench.bench.accuracy import Run, View, run_cases
@@ -42,10 +42,11 @@ from workbench.bench.truth import TrueFiles, read_truth, run_truth
 from workbench.cli.common import LENGTH, Context, command_options
 from workbench.config import RigConfig
 from workbench.depth.methods import DEFAULT_METHOD, METHODS, make_options, needs_second_view
+from workbench.errors import InputError
 from workbench.figures.bench import error_and_bound, measured_against_true, rates_by_texture
 from workbench.figures.style import to_bytes
 from workbench.files import staged_files, write_json
-from workbench.units import seconds_text
+from workbench.units import cm, seconds_text
 
 FIGURES = {
     "measured_against_true": measured_against_true,
@@ -129,6 +130,8 @@ def accuracy_options(function: click.decorators.FC) -> click.decorators.FC:
                          help="Light levels; quick form: normal, full form: all."),
             click.option("--depths", type=click.IntRange(1, 59), default=None,
                          help=f"Depths per texture; quick {QUICK.depths}, full {FULL.depths}."),
+            click.option("--from", "from_mm", type=LENGTH, default=None, help="Leave nearer depths out, e.g. 140cm."),
+            click.option("--to", "to_mm", type=LENGTH, default=None, help="Leave farther depths out, e.g. 180cm."),
             click.option("--reference-every", "every", type=click.IntRange(1), default=None,
                          help=f"Beside {DEFAULT_METHOD}, other methods measure one case of so many; quick "
                          f"{QUICK.every}, full {FULL.every}."),
@@ -186,13 +189,16 @@ def accuracy(
 def _measure_simulated(
     context: Context, form: Form, methods: tuple[str, ...], settings: Settings, bank_ref: str | None, work: Path,
     out: Path | None, *, textures: tuple[str, ...], sizes: tuple[str, ...], lights: tuple[str, ...] | None,
-    depths: int | None, every: int | None, seed: int, step_mm: float, jobs: int | None,
+    depths: int | None, from_mm: float | None, to_mm: float | None, every: int | None, seed: int, step_mm: float,
+    jobs: int | None,
 ) -> None:  # fmt: skip
     started = time.monotonic()
+    _depths_between(depth_list(0.0, seed), from_mm, to_mm)  # refused before a bank is made
     bank, config = _bank_of_rig(context, bank_ref, work, step_mm)
     rig = rig_settings(config)
-    per_texture = depths or form.depths
-    cases = make_cases(textures, depth_list(rig.stage_zero_mm, seed), per_texture, seed)
+    wanted = _depths_between(depth_list(rig.stage_zero_mm, seed), from_mm, to_mm)
+    per_texture = min(depths or form.depths, len(wanted))
+    cases = make_cases(textures, wanted, per_texture, seed)
     # the first cases hold every texture equally often
     first = -(-per_texture // (every or form.every)) * len(textures)
     references = [name for name in methods if name != DEFAULT_METHOD and len(methods) > 1]
@@ -213,6 +219,17 @@ def _measure_simulated(
         "took": seconds_text(time.monotonic() - started),
     }
     _report(context, outcomes, bank.lens.focus_mm, facts, out)
+
+
+def _depths_between(
+    offered: list[tuple[float, bool]], from_mm: float | None, to_mm: float | None
+) -> list[tuple[float, bool]]:
+    low = offered[0][0] if from_mm is None else from_mm
+    high = offered[-1][0] if to_mm is None else to_mm
+    wanted = [(z, on_grid) for z, on_grid in offered if low <= z <= high]
+    if not wanted:
+        raise InputError(f"--from, --to: the bench has no depth from {cm(low)} to {cm(high)}; it has 60 to 350 cm")
+    return wanted
 
 
 def _bank_of_rig(context: Context, bank_ref: str | None, work: Path, step_mm: float) -> tuple[Bank, RigConfig]:
@@ -343,7 +360,7 @@ def speed(
                     context.note(f"measuring it with {method} for its peak memory")
                     used.append(peak_memory(bank_directory, path, method))
             context.note(f"timing {', '.join(methods)} on six regions")
-            rows = method_rows(develop(path), bank, methods, scikit_image_depths=scikit_image_depths)
+            rows = method_rows(develop_photograph(path, bank), bank, methods, scikit_image_depths=scikit_image_depths)
     tables = speed_tables(kernels, rows, used, f"{frame[1]} x {frame[0]} photosites, one thread")
     for table in tables:
         context.table(table.columns, table.rows, title=table.title)

@@ -40,14 +40,13 @@ from workbench.depth.evidence_spectrum import (
 )
 from workbench.depth.evidence_uniform import mixture_gain, parts_loss
 from workbench.depth.evidence_view import (
-    RAMP_PX,
     View,
     compare_sides,
     joined_likelihood,
     refine,
     view_photosites,
 )
-from workbench.depth.evidence_windows import covered_pixels, place_windows, pooled_periodogram, soft_mask
+from workbench.depth.evidence_windows import covered_pixels, place_windows, pooled_periodogram, soft_mask, thinned
 
 __all__ = [
     "DepthModel",
@@ -61,6 +60,9 @@ __all__ = [
 FloatArray = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
+_RAMP_PX = 12.0
+_MOST_WINDOWS = 64
+"""Of a large region; averages of more are not trusted more."""
 _REFINED_WITHIN, _NARROW = 30.0, 5.0
 _NATIVE_WITHIN = 70.0
 """Photosites are looked at where superpixels leave a blur next to focus within so much log-likelihood of the best."""
@@ -139,7 +141,7 @@ def observe(
     """Pool the region's windows and fit every blur; None where no window fits."""
     margin = min(options.margin_px, options.margin * float(np.sqrt(mask.sum())))
     size = options.window_px
-    soft, clear = soft_mask(mask, margin_px=margin, ramp_px=RAMP_PX)
+    soft, clear = soft_mask(mask, margin_px=margin, ramp_px=_RAMP_PX)
     while True:
         windows = place_windows(mask, soft, size, least_weight=options.least_weight)
         if sum(w.weight for w in windows) >= _ENOUGH:
@@ -147,12 +149,13 @@ def observe(
         size //= 2
         if size < options.smallest_window_px:
             return None
-    pooled = pooled_periodogram(plane, windows, model.kernel_lags.shape[1] // 2)
+    chosen = thinned(windows, _MOST_WINDOWS)
+    pooled = pooled_periodogram(plane, chosen, model.kernel_lags.shape[1] // 2)
     expected = smeared_power(model.kernel_lags, pooled.taper_lags, size)
     fit = fit_spectra(pooled.power, pooled.trusted, expected, factor=options.factor)
-    view, photosites = View(plane, soft, clear, windows, pooled, fit), None
+    view, photosites = View(plane, soft, clear, chosen, pooled, fit), None
     if mosaic is not None and _next_to_focus(fit.log_likelihood, model):
-        photosites = view_photosites(mosaic, mask, size, margin, model, options)
+        photosites = view_photosites(mosaic, mask, view, model, options)
     has_finer = size // 2 >= options.smallest_window_px
     finer = place_windows(mask, soft, size // 2, least_weight=options.least_weight) if has_finer else []
     pixels = sum(w.weight for w in windows) * size * size * 0.25  # half overlap both ways: each pixel counts fourfold
@@ -245,7 +248,7 @@ def _refused(model: DepthModel, status: Status, pixels: int, reason: str) -> Dep
 def _conclude(seen: Observation, model: DepthModel, learned: Learned, options: EvidenceOptions) -> DepthEstimate:
     likelihood, views = seen.likelihood, (seen.view, seen.photosites)
     modes = find_modes(likelihood, model.row_radius_px)
-    clues = [compare_sides(*views, row, model, options) for row in modes]
+    clues = compare_sides(*views, modes, model, options)
     far, near = mode_scores(clues, np.asarray(model.sides_in_reach[modes].all(axis=1)), seen.pixels, learned)
     best = float(likelihood[modes].max())
     refined = [

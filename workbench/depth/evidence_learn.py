@@ -149,7 +149,7 @@ def _draw(bank: Bank, model: DepthModel, options: EvidenceOptions, generator: np
     peak = int(close[likelihood[close].argmax()])
     if not any(abs(radius[m] - abs(sigma)) < tolerance for m in modes):
         modes.append(peak)
-    clues = [compare_sides(seen.view, seen.photosites, row, model, options) for row in modes]
+    clues = compare_sides(seen.view, seen.photosites, modes, model, options)
     at_radius = np.abs(radius[modes] - abs(sigma)) < tolerance
     both = abs(sigma) < tolerance  # at focus either side is right
     true = np.stack([at_radius & (both or sigma > 0), at_radius & (both or sigma < 0)], axis=1)

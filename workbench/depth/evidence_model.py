@@ -263,15 +263,15 @@ def prepare(bank: Bank, options: EvidenceOptions, field_index: int | None = None
     else:
         row_of, rows, radius = index - low, sigma, sigma
     depths = _depths_of(psfs, sigma)
-    size = int(bank.psf.shape[2]) + 4
+    size = (int(bank.psf.shape[2]) + 4) | 1
     error = float(np.clip(np.nanmedian(psfs.residual), 0.01, 0.2))
-    lags = [_autocorrelation(psfs.psf_at(float(z), size), error) for z in _depths_of(psfs, rows)]
+    lags = _all_lags(psfs, _depths_of(psfs, rows), size, error)
     lens = bank.lens
     se = np.hypot(lens.scale_se_px * (1.0 - lens.focus_mm / depths), lens.scale_px * lens.focus_se_mm / depths)
     native = None
     if isinstance(psfs, PupilModel) and bank.recipe == "superpixel":
         native = _prepare_native(psfs, _depths_of(psfs, rows[radius < options.native_px]), options.native_px, error)
-    return DepthModel(psfs, sigma, depths, row_of, radius, rows, np.stack(lags), se, error, native)
+    return DepthModel(psfs, sigma, depths, row_of, radius, rows, lags, se, error, native)
 
 
 def _prepare_native(psfs: PupilModel, depths_mm: FloatArray, reach_px: float, error: float) -> NativeModel | None:
@@ -279,7 +279,17 @@ def _prepare_native(psfs: PupilModel, depths_mm: FloatArray, reach_px: float, er
         return None
     finer = psfs.finer(NATIVE_FINER)
     size = int(np.ceil(2 * NATIVE_FINER * (reach_px + _AROUND_PX)))
-    return NativeModel(finer, np.stack([_autocorrelation(finer.psf_at(float(z), size), error) for z in depths_mm]))
+    return NativeModel(finer, _all_lags(finer, depths_mm, size | 1, error))
+
+
+def _all_lags(psfs: PsfModel, depths_mm: FloatArray, size: int, error: float) -> NDArray[np.float32]:
+    """Autocorrelations of the PSFs at these depths, float32 (n, 2 size - 1, 2 size - 1); small PSFs on few pixels."""
+    lags = np.zeros((depths_mm.size, 2 * size - 1, 2 * size - 1), np.float32)
+    for row, depth_mm in enumerate(depths_mm):
+        side = min(size, psfs.side_px(float(depth_mm)))
+        part = slice(size - side, size + side - 1)
+        lags[row, part, part] = _autocorrelation(psfs.psf_at(float(depth_mm), side), error)
+    return lags
 
 
 def _depths_of(psfs: PsfModel, sigma_px: FloatArray | np.float64) -> FloatArray:

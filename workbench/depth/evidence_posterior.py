@@ -156,7 +156,9 @@ def summarise(
         start, stop = modes[int(order[1])]
         second = model.depth_mm(float(sigma[start + int(density[start:stop].argmax())]))
     mass = masses[int(order[0])]
-    status: Status = "ok" if mass >= options.ambiguous_below else "ambiguous"
+    # what holds 95 % may begin in another mode though this one holds as much
+    joined = low < first or high >= last
+    status: Status = "ok" if mass >= options.ambiguous_below and not joined else "ambiguous"
     reason = ""
     if status == "ambiguous":
         other = mirror if mirror_probability > 0.5 * (1.0 - mass) else second

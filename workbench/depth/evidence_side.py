@@ -12,14 +12,15 @@ small ones that are the same everywhere.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
-from workbench.depth.evidence_spectrum import TextureSpectrum
+from workbench.depth.evidence_spectrum import TextureSpectrum, frequencies
 from workbench.depth.evidence_windows import Window, cut_out, hann
 
 FloatArray = NDArray[np.float64]
@@ -171,8 +172,9 @@ def _moments(
     tiled = (len(windows), _TILES, inner // _TILES, _TILES, inner // _TILES)
     by_tile = weights.reshape(tiled)
     found = np.zeros((3, len(psfs), len(FAMILIES), _DIRECTIONS, len(windows), _TILES, _TILES))
+    ratio = _texture_over_noise(texture, size)
     for i, psf in enumerate(psfs):
-        for j, filters in enumerate(_filters(psf, size, texture)):
+        for j, filters in enumerate(_filters(psf, ratio)):
             for k, filt in enumerate(filters):
                 response = fft.irfft2(spectra * filt, s=(size, size))[:, _CONTEXT:-_CONTEXT, _CONTEXT:-_CONTEXT]
                 square = response * response
@@ -184,32 +186,43 @@ def _moments(
     return _Moments(found[0], found[1], found[2], weights.sum(axis=(1, 2), dtype=np.float64))
 
 
-def _filters(psf: NDArray[np.float32], size: int, texture: TextureSpectrum) -> list[list[Complex]]:
-    fy, fx = fft.fftfreq(size)[:, np.newaxis], fft.rfftfreq(size)[np.newaxis, :]
-    modulus, direction = np.hypot(fy, fx), np.arctan2(fy + 0 * fx, fx + 0 * fy)
-    shape = modulus.shape
-    level = texture.log_power(np.maximum(modulus, 1.0 / size).ravel(), direction.ravel())
-    # texture over noise; clipped so that extrapolation to the lowest frequencies stays finite
-    ratio = np.exp(np.clip(level.reshape(shape) - texture.log_noise, -30.0, 30.0)).astype(np.float32)
+def _filters(psf: NDArray[np.float32], ratio: NDArray[np.float32]) -> Iterator[list[Complex]]:
+    """Family by family, the filters in four directions that restore what a PSF blurred.
+
+    ``ratio`` is the power of texture over noise, float32 (N, N // 2 + 1).
+    """
+    size = ratio.shape[0]
+    shapes = _shapes(size)
     transfer = _transfer(psf, size).astype(np.complex64)
-    gain = np.abs(transfer) ** 2 * ratio
+    modulus = np.abs(transfer)
+    gain = modulus**2 * ratio
     snr = gain / (gain + 1.0)
-    phase = np.conj(transfer) / np.maximum(np.abs(transfer), 1e-9)
-    wiener = np.conj(transfer) * ratio / (gain + 1.0)
+    phase = np.conj(transfer) / np.maximum(modulus, np.float32(1e-9))
     white = phase * snr / np.sqrt(gain + 1.0)
     softer = phase * np.sqrt(snr) / np.sqrt(gain + 1.0)
-    safe = np.maximum(modulus, 1.0 / size).astype(np.float32)
+    for restored, shape in ((white, shapes[0]), (np.conj(transfer) * ratio / (gain + 1.0), shapes[1]),
+                            *((softer, shape) for shape in shapes[2:])):  # fmt: skip
+        yield [restored * direction for direction in shape]
+
+
+@lru_cache(maxsize=8)
+def _shapes(size: int) -> tuple[list[Complex], ...]:
+    """What the families filter besides restoring: directions of unit derivatives, of derivatives, of each band."""
+    fy, fx = fft.fftfreq(size)[:, np.newaxis], fft.rfftfreq(size)[np.newaxis, :]
+    modulus, direction = np.hypot(fy, fx), np.arctan2(fy + 0 * fx, fx + 0 * fy)
+    safe = np.maximum(modulus, 1.0 / size)
     slopes = (fx + 0 * fy, fy + 0 * fx, fx + fy, fx - fy)
-    derivatives = [(1j * slope).astype(np.complex64) for slope in slopes]
-    families = [
-        [white * d / safe for d in derivatives],
-        [wiener * d for d in derivatives],
-    ]
-    for centre in _BANDS:
-        band = np.exp(-(np.log(safe / centre) ** 2) / 0.572)
-        lobes = (np.cos(direction - turn * np.pi / 4).astype(np.float32) ** 3 for turn in range(4))
-        families.append([softer * band * np.complex64(1j) * lobe for lobe in lobes])
-    return [[np.asarray(f, np.complex64) for f in family] for family in families]
+    lobes = [np.cos(direction - turn * np.pi / _DIRECTIONS) ** 3 for turn in range(_DIRECTIONS)]
+    bands = [np.exp(-(np.log(safe / centre) ** 2) / 0.572) for centre in _BANDS]
+    families = [[slope / safe for slope in slopes], list(slopes), *([band * lobe for lobe in lobes] for band in bands)]
+    return tuple([(1j * shape).astype(np.complex64) for shape in family] for family in families)
+
+
+def _texture_over_noise(texture: TextureSpectrum, size: int) -> NDArray[np.float32]:
+    """float32 (N, N // 2 + 1); clipped so that extrapolation to the lowest frequencies stays finite."""
+    modulus, direction, _ = frequencies(size)
+    level = texture.log_power(np.maximum(modulus, 1.0 / size).ravel(), direction.ravel())
+    return np.exp(np.clip(level.reshape(modulus.shape) - texture.log_noise, -30.0, 30.0)).astype(np.float32)
 
 
 def _transfer(psf: NDArray[np.float32], size: int) -> NDArray[np.complex128]:

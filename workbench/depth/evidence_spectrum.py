@@ -36,8 +36,14 @@ _COHERENT = 0.5
 """Coherence of the gradients' directions from which on there are ridges; charts, photographs and brick have less."""
 _LOW, _STEP, _CELLS = -12.0, 0.125, 256
 """The likelihood is tabulated over log(I/n) and log(S k/n)."""
+_ABOVE_NOISE = 1.5
+"""Log power over the noise from which on a frequency tells of the texture by itself."""
 _LEAST_LOG = -60.0
 """No single frequency may count more against a depth than this: the outlier floor."""
+_WORSE, _MOST_HALVINGS = 0.1, 6
+"""A scoring step that loses more than so much log-likelihood is halved, at most so often, then not taken."""
+_UNSETTLED, _MOST_STEPS = 10.0, 20
+"""Where the last step gained more than so much log-likelihood, two more are taken, up to so many in all."""
 _SMEARED_AT_ONCE = 8
 _AVERAGES = (1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 18.0, 27.0, 40.0)
 FIRST_CYCLE = 2.0
@@ -334,9 +340,10 @@ def fit_spectra(
     noise = float(np.log(max(float(np.percentile(power[used], 10)), 1e-16) / (0.3 if worth < 4 else 1.0)))
     arguments = (np.ascontiguousarray(terms.T, np.float32), precision, pull)
     if start is None:
-        first = np.zeros(terms.shape[1])
-        low = modulus[used] < band.knots[1] * 1.4
-        first[: len(band.knots)] = np.median(log_power[low]) + _SLOPE * (band.log_knots - band.log_knots[0])
+        # least squares where there is more than noise, and at the lowest frequencies in any case
+        usable = (log_power > noise + _ABOVE_NOISE) | (modulus[used] < band.knots[1] * 1.4)
+        seen, target = terms[usable], log_power[usable] - log_expected[0, usable]
+        first = np.linalg.solve(precision + seen.T @ seen, pull + seen.T @ target)
         _, warm, warm_noise = _scan(
             log_power, log_expected[:1], *arguments, first, noise, noise, 12, correlation, *tables
         )
@@ -380,12 +387,14 @@ def _scan(
     cells = table.shape[0]
     likelihood, coefficients, noises = np.zeros(blurs), np.zeros((blurs, p)), np.zeros(blurs)
     theta, log_noise = start.copy(), start_noise
-    gradient, hessian = np.zeros(p + 1), np.zeros((p + 1, p + 1))
+    gradient, hessian, towards = np.zeros(p + 1), np.zeros((p + 1, p + 1)), np.zeros(p)
     signal, slope, slope_noise = np.zeros(count, np.float32), np.zeros(count, np.float32), np.zeros(count, np.float32)
     ss, sn, nn = np.zeros(count, np.float32), np.zeros(count, np.float32), np.zeros(count, np.float32)
     weighted = np.zeros(count, np.float32)
+    kept, kept_noise = theta.copy(), log_noise
     for d in range(blurs):
-        for step in range(steps + 1):
+        taken, wanted, halved, best = 0, steps, 0, -np.inf
+        while True:
             signal[:] = log_expected[d]
             for j in range(p):
                 factor = np.float32(theta[j])
@@ -404,7 +413,7 @@ def _scan(
                     w00 * table[y0, x0] + w01 * table[y0, x0 + 1]
                     + w10 * table[y0 + 1, x0] + w11 * table[y0 + 1, x0 + 1]
                 )  # fmt: skip
-                if step < steps:
+                if taken < wanted:
                     slope[f] = (
                         w00 * by_signal[y0, x0] + w01 * by_signal[y0, x0 + 1]
                         + w10 * by_signal[y0 + 1, x0] + w11 * by_signal[y0 + 1, x0 + 1]
@@ -414,29 +423,41 @@ def _scan(
                         + w10 * by_noise[y0 + 1, x0] + w11 * by_noise[y0 + 1, x0 + 1]
                     )  # fmt: skip
                     ss[f], sn[f], nn[f] = info_ss[x0], info_sn[x0], info_nn[x0]
-            if step < steps:
-                for j in range(p):
-                    column = columns[j]
-                    gradient[j] = _dot(slope, column)
-                    hessian[p, j] = _dot(sn, column)
-                    for f in range(count):
-                        weighted[f] = ss[f] * column[f]
-                    for k in range(j + 1):
-                        hessian[j, k] = _dot(weighted, columns[k])
-                gradient[p] = slope_noise.sum()
-                hessian[p, p] = nn.sum()
             total *= correlation
-            gradient *= correlation
-            hessian *= correlation
             for j in range(p):
                 left = pull[j]
                 for k in range(p):
                     left -= precision[j, k] * theta[k]
-                gradient[j] += left
+                towards[j] = left
                 total += 0.5 * theta[j] * (pull[j] + left)
             total -= 0.25 * (log_noise - prior_noise) ** 2
-            if step == steps:
-                break
+            if total < best - _WORSE:  # the last step went too far
+                halved += 1
+                if halved > _MOST_HALVINGS:
+                    theta[:], log_noise, total = kept, kept_noise, best
+                    break
+                theta[:] = 0.5 * (theta + kept)
+                log_noise = 0.5 * (log_noise + kept_noise)
+                continue
+            if taken == wanted:
+                if total - best < _UNSETTLED or wanted >= _MOST_STEPS:
+                    break
+                wanted += 2
+                continue
+            kept[:], kept_noise, best = theta, log_noise, total
+            for j in range(p):
+                column = columns[j]
+                gradient[j] = _dot(slope, column)
+                hessian[p, j] = _dot(sn, column)
+                for f in range(count):
+                    weighted[f] = ss[f] * column[f]
+                for k in range(j + 1):
+                    hessian[j, k] = _dot(weighted, columns[k])
+            gradient[p] = slope_noise.sum()
+            hessian[p, p] = nn.sum()
+            gradient *= correlation
+            hessian *= correlation
+            gradient[:p] += towards
             gradient[p] -= 0.5 * (log_noise - prior_noise)
             hessian[p, p] += 0.5
             for j in range(p):
@@ -448,6 +469,7 @@ def _scan(
             shorter = min(1.0, 2.0 / max(float(np.abs(gradient).max()), 1e-9))
             theta += shorter * gradient[:p]
             log_noise += shorter * float(gradient[p])
+            taken, halved = taken + 1, 0
         likelihood[d], noises[d] = total, log_noise
         coefficients[d] = theta
     return likelihood, coefficients, noises

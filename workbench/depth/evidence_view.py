@@ -7,13 +7,15 @@ pupil that can be drawn so fine.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
-from calibration.mosaic import Mosaic, native_luminance_power, native_pixels
+from calibration.mosaic import Mosaic, grey_photosites, native_luminance_power
 from workbench.depth.evidence_model import NATIVE_FINER, DepthModel, EvidenceOptions
 from workbench.depth.evidence_posterior import Refined
 from workbench.depth.evidence_side import Comparison, compare
@@ -22,16 +24,15 @@ from workbench.depth.evidence_windows import (
     Pooled,
     Window,
     clear_share,
-    place_windows,
+    finer_windows,
     pooled_periodogram,
-    soft_mask,
+    thinned,
 )
 from workbench.depth.regions import bounding_box
 
 FloatArray = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-RAMP_PX = 12.0
 _CONTEXT_PX = 48
 """What is kept of the picture around a region's box; restorations look so far beyond their windows."""
 _SHAPELESS_PX, _SHAPELESS_NATIVE_PX = 1.5, 1.0
@@ -40,7 +41,9 @@ _EDGE_TRUST = 0.35
 """What the comparison of the sides counts where all of the region lies within two radii of its edge."""
 _REFINED_STEPS, _REFINED_FINER, _REFINED_FISHER_STEPS = 2, 3, 5
 _ANCHOR_ROWS = 3
-_NATIVE_FISHER_STEPS = 4
+_NATIVE_FISHER_STEPS = 3
+_MOST_NATIVE_WINDOWS, _NATIVE_SIDE_WINDOWS = 25, 5
+"""Of a large region, where windows needn't overlap: one of photosites costs as much as four of superpixels."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,7 +76,7 @@ class View:
 
 
 def view_photosites(
-    mosaic: Mosaic, mask: Mask, window_px: int, margin_px: float, model: DepthModel, options: EvidenceOptions
+    mosaic: Mosaic, mask: Mask, superpixels: View, model: DepthModel, options: EvidenceOptions
 ) -> View | None:
     """A region's photosites, its spectrum fitted for the blurs next to focus.
 
@@ -83,42 +86,38 @@ def view_photosites(
         Of the whole photograph.
     mask
         bool (H, W): usable superpixels of the region.
-    window_px, margin_px
-        Side of the windows, and the strip along the region's edge that is kept out, as for superpixels, in their unit.
+    superpixels
+        The region as they show it; the same windows are looked at, of large regions a part.
     model, options
         The bank made ready; its ``native`` part.
 
     Returns
     -------
     View or None
-        Grey light is assumed: red and blue are weighed so that the region's mean is grey. None where a channel is dark,
-        or no window fits.
+        Grey light is assumed: red and blue are weighed so that the region's mean is grey. None where a channel is dark.
     """
     assert model.native is not None
-    rows, columns = (
-        slice(part.start, min(part.stop, length))
-        for part, length in zip(bounding_box(mask, _CONTEXT_PX), mask.shape, strict=True)
-    )
-    inside = mask[rows, columns].repeat(NATIVE_FINER, axis=0).repeat(NATIVE_FINER, axis=1)
-    planes, _ = native_pixels(mosaic.part(rows, columns))
-    level = planes[inside].mean(axis=0, dtype=np.float64)
-    if level.min() <= 0.02 * level.max():
+    box = rows, columns = bounding_box(mask, _CONTEXT_PX)
+    plane = grey_photosites(mosaic.part(rows, columns), mask[box])
+    if plane is None:
         return None
-    grey = np.array([0.25, 0.5, 0.25]) * level[1] / level
-    plane = np.asarray(planes @ grey.astype(np.float32))
-    size = NATIVE_FINER * window_px
-    soft, clear = soft_mask(inside, margin_px=NATIVE_FINER * margin_px, ramp_px=NATIVE_FINER * RAMP_PX)
-    windows = place_windows(inside, soft, size, least_weight=options.least_weight)
-    if not windows:
-        return None
+    soft, clear = (_enlarged(part[box]) for part in (superpixels.soft, superpixels.clear))
+    chosen = thinned(superpixels.windows, _MOST_NATIVE_WINDOWS)
+    windows = finer_windows(chosen, soft, NATIVE_FINER, (rows.start, columns.start))
     lags = model.native.kernel_lags
     seen = pooled_periodogram(plane, windows, lags.shape[1] // 2)
+    size = seen.power.shape[0]
     kept = native_luminance_power(fft.fftfreq(size)[:, np.newaxis], fft.rfftfreq(size)[np.newaxis, :])
     pooled = Pooled(seen.power / np.maximum(kept, 1e-3), seen.averages, seen.taper_lags)
     expected = smeared_power(lags, pooled.taper_lags, size)
     fit = fit_spectra(pooled.power, pooled.trusted, expected,
                       factor=options.factor, steps=_NATIVE_FISHER_STEPS, band=PHOTOSITES)  # fmt: skip
-    return View(plane, soft, clear, windows, pooled, fit, NATIVE_FINER)
+    return View(plane, soft, NATIVE_FINER * clear, windows, pooled, fit, NATIVE_FINER)
+
+
+def _enlarged(part: NDArray[np.float32]) -> NDArray[np.float32]:
+    shape = NATIVE_FINER * part.shape[1], NATIVE_FINER * part.shape[0]
+    return np.asarray(cv2.resize(part, shape, interpolation=cv2.INTER_LINEAR), np.float32)
 
 
 def joined_likelihood(superpixels: View, photosites: View | None) -> FloatArray:
@@ -167,17 +166,23 @@ def refine(
 
 
 def compare_sides(
-    superpixels: View, photosites: View | None, row: int, model: DepthModel, options: EvidenceOptions
-) -> Comparison:
-    """How sparse the far and the near side's restorations are at one row's radius.
+    superpixels: View, photosites: View | None, rows: Sequence[int], model: DepthModel, options: EvidenceOptions
+) -> list[Comparison]:
+    """How sparse the far and the near side's restorations are at some rows' radii.
 
     How sparse they are by themselves is read from superpixels at every row, so that rows can be compared; how much one
-    side is favoured, from photosites next to focus.
+    side is favoured, from photosites next to focus. A single row has none to be compared with.
     """
-    clue = _compare(superpixels, row, model, options, _SHAPELESS_PX)
-    if photosites is None or row >= photosites.fit.log_likelihood.size:
-        return clue
-    return Comparison(clue.sparse, _compare(photosites, row, model, options, _SHAPELESS_NATIVE_PX).favour)
+    clues = []
+    for row in rows:
+        fine = photosites if photosites is not None and row < photosites.fit.log_likelihood.size else None
+        if fine is None or len(rows) > 1:
+            clue = _compare(superpixels, row, model, options, _SHAPELESS_PX)
+        if fine is not None:
+            finer = _compare(fine, row, model, options, _SHAPELESS_NATIVE_PX)
+            clue = Comparison(clue.sparse, finer.favour) if len(rows) > 1 else finer
+        clues.append(clue)
+    return clues
 
 
 def _compare(view: View, row: int, model: DepthModel, options: EvidenceOptions, shapeless_px: float) -> Comparison:
@@ -189,7 +194,8 @@ def _compare(view: View, row: int, model: DepthModel, options: EvidenceOptions, 
         else:
             psfs.append((psfs[0] if psfs else model.psf_at(-radius, view.finer))[::-1, ::-1])
     good = [w for w in view.windows if w.weight >= 0.6 * view.windows[0].weight]
-    chosen = good[:: max(1, len(good) // options.side_windows)][: options.side_windows]
+    few = view.finer == 1 or len(good) <= options.side_windows
+    chosen = thinned(good, options.side_windows if few else min(options.side_windows, _NATIVE_SIDE_WINDOWS))
     clue = compare(view.plane, view.soft, chosen, psfs, view.fit.texture(row))
     # next to focus the lens's own spot hides the aperture's shape, and with it the side
     shown = -np.expm1(-((radius / shapeless_px) ** 2))

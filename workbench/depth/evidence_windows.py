@@ -93,18 +93,48 @@ def place_windows(mask: Mask, soft: NDArray[np.float32], size: int, *, least_wei
     ]
     full = np.outer(hann(size), hann(size)).astype(np.float32)
     energy = float((full**2).sum())
-    windows = []
-    for y, x in corners:
-        cut = np.zeros((size, size), np.float32)
-        inside = soft[max(y, 0) : max(y + size, 0), max(x, 0) : max(x + size, 0)]
-        cut[max(-y, 0) : max(-y, 0) + inside.shape[0], max(-x, 0) : max(-x, 0) + inside.shape[1]] = inside
-        taper = full * cut
-        weight = float((taper**2).sum()) / energy
-        if weight >= _FULL and not _holes(cut):
-            taper, weight = full, 1.0
-        if weight >= least_weight:
-            windows.append(Window(y, x, taper, weight))
-    return sorted(windows, key=lambda w: -w.weight)
+    windows = [_window(soft, y, x, full, energy) for y, x in corners]
+    return sorted((w for w in windows if w.weight >= least_weight), key=lambda w: -w.weight)
+
+
+def _window(soft: NDArray[np.float32], y: int, x: int, full: NDArray[np.float32], energy: float) -> Window:
+    size = full.shape[0]
+    cut = np.zeros((size, size), np.float32)
+    inside = soft[max(y, 0) : max(y + size, 0), max(x, 0) : max(x + size, 0)]
+    cut[max(-y, 0) : max(-y, 0) + inside.shape[0], max(-x, 0) : max(-x, 0) + inside.shape[1]] = inside
+    taper = full * cut
+    weight = float((taper**2).sum()) / energy
+    return Window(y, x, full, 1.0) if weight >= _FULL and not _holes(cut) else Window(y, x, taper, weight)
+
+
+def thinned(windows: Sequence[Window], most: int) -> list[Window]:
+    """At most so many of a region's windows, evenly spread over it; by decreasing weight."""
+    by_place = sorted(windows, key=lambda w: (w.row, w.column))
+    kept = np.unique(np.rint(np.linspace(0, len(by_place) - 1, min(most, len(by_place)))).astype(int))
+    return sorted((by_place[index] for index in kept), key=lambda w: -w.weight)
+
+
+def finer_windows(
+    windows: Sequence[Window], soft: NDArray[np.float32], finer: int, corner: tuple[int, int]
+) -> list[Window]:
+    """The same windows on pixels ``finer`` times as fine.
+
+    Parameters
+    ----------
+    windows
+        In pixels of the whole image.
+    soft
+        float32 (h, w): the region with a soft edge, on the fine pixels of a part of the image.
+    finer
+        Fine pixels a pixel is wide.
+    corner
+        Row and column of that part's first pixel, in pixels of the whole image.
+    """
+    size = finer * windows[0].taper.shape[0]
+    full = np.outer(hann(size), hann(size)).astype(np.float32)
+    energy = float((full**2).sum())
+    places = (((w.row - corner[0]) * finer, (w.column - corner[1]) * finer) for w in windows)
+    return sorted((_window(soft, y, x, full, energy) for y, x in places), key=lambda w: -w.weight)
 
 
 def soft_mask(mask: Mask, *, margin_px: float, ramp_px: float) -> tuple[NDArray[np.float32], NDArray[np.float32]]:

@@ -133,6 +133,7 @@ def test_a_photograph_that_cannot_be_measured_says_why(tmp_path: Path) -> None:
         (["--set", "iterations=3"], "give method.name=value"),
         (["--raws", "nowhere"], "no such directory"),
         (["--depths", "0"], "0"),
+        (["--from", "5m"], "no depth"),
     ],
 )
 def test_wrong_wishes_are_refused_before_anything_is_made(

@@ -8,7 +8,14 @@ import numpy as np
 import pytest
 from drawn_points import BLACK, WHITE, write_dng
 
-from calibration.mosaic import Mosaic, native_luminance_power, native_pixels, resolves_photosites, superpixels
+from calibration.mosaic import (
+    Mosaic,
+    grey_photosites,
+    native_luminance_power,
+    native_pixels,
+    resolves_photosites,
+    superpixels,
+)
 from calibration.raw import develop
 
 PATTERNS = {"RGGB": (0, 1, 3, 2), "BGGR": (2, 1, 3, 0), "GRBG": (1, 0, 2, 3), "GBRG": (1, 2, 0, 3)}
@@ -52,6 +59,19 @@ def test_part_is_cut_in_whole_cells() -> None:
     whole = mosaic_of(smooth_light(64, 4))
     part = whole.part(slice(3, 20), slice(5, 30))
     np.testing.assert_array_equal(superpixels(part)[0], superpixels(whole)[0][3:20, 5:30])
+
+
+@pytest.mark.parametrize("pattern", PATTERNS)
+def test_tinted_light_is_made_grey_and_filtered_like_all_luminance(pattern: str) -> None:
+    light = smooth_light(64, 5)
+    tint = np.array([{0: 0.5, 1: 1.0, 3: 1.0, 2: 0.7}[index] for index in PATTERNS[pattern]]).reshape(2, 2)
+    tinted = mosaic_of(light * np.tile(tint, (32, 32)), pattern)
+    grey = grey_photosites(tinted, np.ones((32, 32), np.bool_))
+    assert grey is not None
+    expected = native_pixels(mosaic_of(light))[0] @ np.array([0.25, 0.5, 0.25])
+    np.testing.assert_allclose(grey / grey.mean(), expected / expected.mean(), rtol=0.02)
+    dark = mosaic_of(light * np.tile(np.where(tint < 1, 0.01, 1.0), (32, 32)), pattern)
+    assert grey_photosites(dark, np.ones((32, 32), np.bool_)) is None
 
 
 @pytest.mark.parametrize(("fy", "fx"), [(0.0, 0.125), (0.25, 0.0), (0.1875, 0.25), (0.3125, 0.125)])
