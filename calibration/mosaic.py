@@ -22,8 +22,8 @@ SATURATION_FRACTION = 0.99
 
 _CHANNELS = {"R": 0, "G": 1, "B": 2}
 _KERNEL = np.array([1.0, 2.0, 1.0], np.float32) / 4.0
-_DARK = 0.02
-"""A channel with less than this part of the brightest one's light can't be made grey."""
+_DARK = 0.1
+"""A channel with less than this part of the brightest one's light isn't made grey: its noise would drown the others."""
 _RESOLVED = 0.9
 """Least ratio of squared differences within cells to those across them where photosites see details of their own."""
 
@@ -50,7 +50,7 @@ class Mosaic:
     white: float
 
     def part(self, rows: slice, columns: slice) -> Mosaic:
-        """The cells of a rectangle, given in cells."""
+        """The cells of a rectangle, its slices with start and stop counted in cells; it may reach beyond the mosaic."""
         sites = self.photosites[2 * rows.start : 2 * rows.stop, 2 * columns.start : 2 * columns.stop]
         return replace(self, photosites=sites)
 
@@ -103,7 +103,7 @@ def grey_photosites(mosaic: Mosaic, inside: NDArray[np.bool_]) -> NDArray[np.flo
     Returns
     -------
     ndarray or None
-        None where a channel is too dark to be made grey.
+        None where a channel is too dark for that.
     """
     channels = [_channel(mosaic, position) for position in range(4)]
     levels = [float(channel[inside].mean(dtype=np.float64)) for channel in channels]
@@ -127,6 +127,7 @@ def resolves_photosites(mosaic: Mosaic) -> bool:
 
     Of the two green photosites of a cell and the two nearest of neighbouring cells, each a diagonal step apart, both
     pairs differ by as much in a photograph; in a mosaic made from a coarser picture those of one cell differ by noise.
+    One that shows hardly anything but noise passes.
     """
     first, second = (position for position, index in enumerate(mosaic.pattern) if index in (1, 3))
     one, other = _channel(mosaic, first), _channel(mosaic, second)

@@ -53,7 +53,7 @@ class PsfModel(Protocol):
         ...
 
     def side_px(self, depth_mm: float) -> int:
-        """Odd side K that holds all of the PSF at a depth."""
+        """Side K that holds all of the PSF at a depth."""
         ...
 
 
@@ -200,8 +200,8 @@ class PsfInterpolator:
         return np.asarray(blend / max(float(blend.sum()), 1e-12), np.float32)
 
     def side_px(self, depth_mm: float) -> int:  # noqa: ARG002 - measured PSFs are all of one size
-        """Side K that holds all of the PSF at a depth: that of the measured ones."""
-        return int(self.psf.shape[1])
+        """Side K that holds all of the PSF at a depth: that of the measured ones, and what scaling adds."""
+        return int(self.psf.shape[1]) + 4
 
     def _scaled(self, index: int, radius: float, size: int) -> FloatArray:
         own = self.radius_px(float(self.depths_mm[index]))

@@ -54,7 +54,7 @@ def develop(
     white
         For linear files: the value that counts as 1 (default 1 for floats, the type's largest for integers).
     keep_mosaic
-        Keep the photosites beside superpixels, where they see details of their own.
+        Keep the photosites beside superpixels, where they see details of their own; not with a dark frame.
 
     Returns
     -------

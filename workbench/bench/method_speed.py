@@ -80,8 +80,9 @@ def method_rows(
     """
     regions = six_regions(image.shape) if labels is None else labels
     corner = LinearImage(
-        image.planes[:256, :256], image.saturated[:256, :256], image.recipe, image.pixel_pitch_mm, image.info
-    )
+        image.planes[:256, :256], image.saturated[:256, :256], image.recipe, image.pixel_pitch_mm, image.info,
+        None if image.mosaic is None else image.mosaic.part(slice(0, 256), slice(0, 256)),
+    )  # fmt: skip
     seconds: dict[str, float] = {}
     for method in methods:
         estimate_depths(corner, bank, np.ones(corner.shape, np.int32), method, {})

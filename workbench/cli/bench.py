@@ -215,7 +215,8 @@ def _measure_simulated(
         )
     facts = {
         **_bank_facts(bank),
-        "cases": f"{len(cases)} frames, seed {seed}, light {', '.join(run.lights)}",
+        "cases": f"{len(cases)} frames, seed {seed}, light {', '.join(run.lights)}, "
+        f"{cm(min(case.true_mm for case in cases))} to {cm(max(case.true_mm for case in cases))}",
         "took": seconds_text(time.monotonic() - started),
     }
     _report(context, outcomes, bank.lens.focus_mm, facts, out)
@@ -228,7 +229,8 @@ def _depths_between(
     high = offered[-1][0] if to_mm is None else to_mm
     wanted = [(z, on_grid) for z, on_grid in offered if low <= z <= high]
     if not wanted:
-        raise InputError(f"--from, --to: the bench has no depth from {cm(low)} to {cm(high)}; it has 60 to 350 cm")
+        ends = f"{cm(offered[0][0], 0)} to {cm(offered[-1][0], 0)}"
+        raise InputError(f"--from, --to: the bench has no depth from {cm(low)} to {cm(high)}; it has {ends}")
     return wanted
 
 

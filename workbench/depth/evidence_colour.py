@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from scipy import linalg
 
 from calibration.image import LinearImage
+from calibration.mosaic import Mosaic, superpixels
 from workbench.depth.regions import bounding_box
 
 Mask = NDArray[np.bool_]
@@ -22,6 +23,13 @@ Plane = NDArray[np.float32]
 _FINE_PX, _COARSE_PX = 1.5, 8.0
 """Texture: what lies between these two Gaussian blurs. Noise: what second differences leave."""
 _LUMINANCE = np.array([0.25, 0.5, 0.25])
+_LUMINANCE_AND_CHROMA = np.array([[0.25, 0.25, 0.25], [0.5, -0.5, 0.0], [0.25, 0.25, -0.25]])
+"""Of R, G and B (rows): luminance, and what lies on the diagonal's carrier, and on each of the two others."""
+_SECOND = np.array([[1.0, -2.0, 1.0], [-2.0, 4.0, -2.0], [1.0, -2.0, 1.0]], np.float32) / 6.0
+"""Second differences along both axes; white noise keeps its power."""
+_BAND_NOISE = 0.066
+"""Part of white noise's power between Gaussian blurs of 1 and 4 pixels."""
+_CHROMA_SIDE = 512
 _ENOUGH_PIXELS, _MANY_PIXELS = 400, 60_000
 """With fewer pixels there is no telling; of more than so many only some are taken."""
 
@@ -61,8 +69,7 @@ def informative_mixture(image: LinearImage, mask: Mask, least_gain: float) -> ND
         return None
     band = cv2.GaussianBlur(part, (0, 0), _FINE_PX) - cv2.GaussianBlur(part, (0, 0), _COARSE_PX)
     texture = _covariance(np.asarray(band[::thin, ::thin], np.float32), inner)
-    second = np.array([[1.0, -2.0, 1.0], [-2.0, 4.0, -2.0], [1.0, -2.0, 1.0]], np.float32) / 6.0
-    noise = _covariance(np.asarray(cv2.filter2D(part, -1, second)[::thin, ::thin], np.float32), inner)
+    noise = _covariance(np.asarray(cv2.filter2D(part, -1, _SECOND)[::thin, ::thin], np.float32), inner)
     noise += 1e-3 * np.trace(noise) / 3.0 * np.eye(3) + 1e-16 * np.eye(3)
     ratios, vectors = linalg.eigh(texture, noise)
     plain = (_LUMINANCE @ texture @ _LUMINANCE) / (_LUMINANCE @ noise @ _LUMINANCE)
@@ -70,6 +77,32 @@ def informative_mixture(image: LinearImage, mask: Mask, least_gain: float) -> ND
         return None
     weights = vectors[:, -1] / np.abs(vectors[:, -1]).sum()
     return np.asarray(weights * np.sign(weights[np.abs(weights).argmax()]))
+
+
+def chroma_over_luminance(mosaic: Mosaic, mask: Mask) -> float:
+    """Power of the texture that colour filters modulate onto their carriers, relative to the luminance's.
+
+    A mosaic is its luminance and two colour differences, one on the carrier of the diagonal, one on those of rows and
+    of columns (Alleysson, Suesstrunk and Herault 2005). Colours count relative to the region's mean.
+
+    Parameters
+    ----------
+    mosaic
+        A part of a photograph.
+    mask
+        bool (H, W): its usable cells.
+    """
+    rows, columns = (slice(max(0, (n - _CHROMA_SIDE) // 2), (n + _CHROMA_SIDE) // 2) for n in mask.shape)
+    if mask[rows, columns].sum() < _ENOUGH_PIXELS:
+        rows, columns = (slice(0, n) for n in mask.shape)
+    planes, _ = superpixels(mosaic.part(rows, columns))
+    inside = mask[rows, columns]
+    mean = np.maximum(planes[inside].mean(axis=0, dtype=np.float64), 1e-6)
+    signals = np.asarray(planes @ (_LUMINANCE_AND_CHROMA / mean[:, np.newaxis]).astype(np.float32))
+    band = cv2.GaussianBlur(signals, (0, 0), 1.0) - cv2.GaussianBlur(signals, (0, 0), 4.0)
+    noise = _covariance(np.asarray(cv2.filter2D(signals, -1, _SECOND), np.float32), inside)
+    power = np.diag(_covariance(np.asarray(band, np.float32), inside) - _BAND_NOISE * noise)
+    return float(max(power[1] + 2.0 * power[2], 0.0) / max(power[0], 1e-12))
 
 
 def _covariance(planes: Plane, inner: Mask) -> NDArray[np.float64]:

@@ -95,7 +95,7 @@ class EvidenceOptions:
         require(
             self,
             smallest_window_px=16 <= self.smallest_window_px <= 1024,
-            window_px=self.smallest_window_px <= self.window_px <= 1024,
+            window_px=self.smallest_window_px <= self.window_px <= 1024 and self.window_px % 4 == 0,
             least_weight=0 < self.least_weight <= 1,
             margin=0 <= self.margin < 0.5,
             margin_px=self.margin_px >= 0,

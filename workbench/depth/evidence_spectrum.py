@@ -6,7 +6,7 @@ squared transfer function smeared by the taper, ``n`` white noise, and ``S g`` t
 factor is what keeps periodic, sparse and text-like textures from breaking the model: it is log-normal with a wide
 second component and is integrated out, so that a spectral line, or a gap between lines, counts as a surprise of
 bounded size, and what decides is where the blur's zeros leave nothing but noise. ``S`` and ``n`` are fitted anew for
-every blur by a few Fisher scoring steps, which is one pass over the spectrum each.
+every blur by Fisher scoring, from the fit of the blur before: mostly two steps, one pass over the spectrum each.
 """
 
 from __future__ import annotations
@@ -63,7 +63,8 @@ class Band:
     ridge_width
         Of a ridge of power along the texture's axis or across it.
     roll_off
-        Frequency at which the texture's own softness may take about a factor of e off S, as f^2 in log S; 0 for none.
+        Log S may fall, or rise, by ``(f / roll_off)^2`` times a coefficient of the order of 1: the texture's own
+        softness. 0 for no such term.
     """
 
     knots: tuple[float, ...] = (0.02, 0.045, 0.09, 0.18, 0.36)
@@ -79,9 +80,8 @@ class Band:
 
 SUPERPIXELS = Band()
 PHOTOSITES = Band((0.01, 0.0225, 0.045, 0.09, 0.18, 0.36), 0.36, 0.006, 0.25)
-"""At half the pitch. What the colour filters' carriers spread stays beyond it, and so does most of what the
-demosaicing kernel takes away. Few textures keep falling as a power of frequency up to there: prints and paint have a
-finest detail."""
+"""At half the pitch. The colour filters' carriers lie beyond it, and so does most of what the demosaicing kernel takes
+away. Few textures keep falling as a power of frequency up to there: prints and paint have a finest detail."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -343,7 +343,7 @@ def fit_spectra(
         # least squares where there is more than noise, and at the lowest frequencies in any case
         usable = (log_power > noise + _ABOVE_NOISE) | (modulus[used] < band.knots[1] * 1.4)
         seen, target = terms[usable], log_power[usable] - log_expected[0, usable]
-        first = np.linalg.solve(precision + seen.T @ seen, pull + seen.T @ target)
+        first = np.linalg.solve(precision + seen.T @ seen + 1e-6 * np.eye(len(pull)), pull + seen.T @ target)
         _, warm, warm_noise = _scan(
             log_power, log_expected[:1], *arguments, first, noise, noise, 12, correlation, *tables
         )

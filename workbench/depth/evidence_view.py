@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from scipy import fft
 
 from calibration.mosaic import Mosaic, grey_photosites, native_luminance_power
+from workbench.depth.evidence_colour import chroma_over_luminance
 from workbench.depth.evidence_model import NATIVE_FINER, DepthModel, EvidenceOptions
 from workbench.depth.evidence_posterior import Refined
 from workbench.depth.evidence_side import Comparison, compare
@@ -36,14 +37,19 @@ Mask = NDArray[np.bool_]
 _CONTEXT_PX = 48
 """What is kept of the picture around a region's box; restorations look so far beyond their windows."""
 _SHAPELESS_PX, _SHAPELESS_NATIVE_PX = 1.5, 1.0
-"""Radius (superpixels) below which the lens's own spot and the pixels hide the aperture's shape, and so the side."""
+"""Radius (superpixels) below which the lens's own spot and the pixels hide the aperture's shape, and so the side: to
+superpixels, and to photosites."""
 _EDGE_TRUST = 0.35
 """What the comparison of the sides counts where all of the region lies within two radii of its edge."""
 _REFINED_STEPS, _REFINED_FINER, _REFINED_FISHER_STEPS = 2, 3, 5
+_MOST_CHROMA = 0.4
+"""Of textures with three independent channels mixed into a grey one, depths next to focus were right up to 0.45 and in
+focus, wherever they truly were, from 0.7 on; colour photographs have 0.02 to 0.6."""
 _ANCHOR_ROWS = 3
 _NATIVE_FISHER_STEPS = 3
 _MOST_NATIVE_WINDOWS, _NATIVE_SIDE_WINDOWS = 25, 5
-"""Of a large region, where windows needn't overlap: one of photosites costs as much as four of superpixels."""
+"""Of a large region: one window of photosites costs as much as four of superpixels, and five that lie apart see more
+than the nine overlapping ones of a small region."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,9 +65,9 @@ class View:
     windows
         That cover it, heaviest first.
     pooled
-        Their periodogram, free of what the pixels themselves take away.
+        Their periodogram, free of what filling in the photosites' colours took away.
     fit
-        Texture and noise for each of the model's rows from the first on.
+        Texture and noise for the model's rows: for superpixels all of them, for photosites the first ones.
     finer
         Pixels a superpixel is wide.
     """
@@ -94,11 +100,15 @@ def view_photosites(
     Returns
     -------
     View or None
-        Grey light is assumed: red and blue are weighed so that the region's mean is grey. None where a channel is dark.
+        Grey light is assumed: red and blue are weighed so that the region's mean is grey. None where a channel is dark,
+        and where colours change so much that the filters' carriers, with what they modulate, would pass for detail.
     """
     assert model.native is not None
     box = rows, columns = bounding_box(mask, _CONTEXT_PX)
-    plane = grey_photosites(mosaic.part(rows, columns), mask[box])
+    part = mosaic.part(rows, columns)
+    if chroma_over_luminance(part, mask[box]) > _MOST_CHROMA:
+        return None
+    plane = grey_photosites(part, mask[box])
     if plane is None:
         return None
     soft, clear = (_enlarged(part[box]) for part in (superpixels.soft, superpixels.clear))

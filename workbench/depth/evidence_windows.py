@@ -108,10 +108,20 @@ def _window(soft: NDArray[np.float32], y: int, x: int, full: NDArray[np.float32]
 
 
 def thinned(windows: Sequence[Window], most: int) -> list[Window]:
-    """At most so many of a region's windows, evenly spread over it; by decreasing weight."""
-    by_place = sorted(windows, key=lambda w: (w.row, w.column))
-    kept = np.unique(np.rint(np.linspace(0, len(by_place) - 1, min(most, len(by_place)))).astype(int))
-    return sorted((by_place[index] for index in kept), key=lambda w: -w.weight)
+    """At most so many of a region's windows, spread over it: from the middle on, always the farthest from the others.
+
+    Light windows count as nearer. The order is that of :func:`place_windows`.
+    """
+    if len(windows) <= most:
+        return list(windows)
+    places = np.array([(w.row, w.column) for w in windows], np.float64)
+    weight = np.array([w.weight for w in windows])
+    distance = np.full(len(windows), np.inf)
+    chosen = [int(np.hypot(*(places - places.mean(axis=0)).T).argmin())]
+    while len(chosen) < most:
+        distance = np.minimum(distance, np.hypot(*(places - places[chosen[-1]]).T))
+        chosen.append(int((distance * weight).argmax()))
+    return [windows[index] for index in sorted(chosen)]
 
 
 def finer_windows(
@@ -129,6 +139,11 @@ def finer_windows(
         Fine pixels a pixel is wide.
     corner
         Row and column of that part's first pixel, in pixels of the whole image.
+
+    Returns
+    -------
+    list of Window
+        In fine pixels of the part, by decreasing weight.
     """
     size = finer * windows[0].taper.shape[0]
     full = np.outer(hann(size), hann(size)).astype(np.float32)

@@ -134,7 +134,7 @@ def test_grey_surface_is_measured_by_its_luminance() -> None:
 
 
 def test_region_of_two_depths_says_so(bank: Bank) -> None:
-    left, right = (photograph(leaves(SIDE + 100, seed), depth) for seed, depth in ((16, 2100.0), (17, 1250.0)))
+    left, right = (photograph(leaves(SIDE + 100, drawn), depth) for drawn, depth in ((16, 2100.0), (17, 1250.0)))
     across = np.arange(left.shape[1])[:, np.newaxis] < left.shape[1] // 2
     image = as_image(np.where(across, left.planes, right.planes))
     found = estimate_evidence(image, bank, whole(image.shape))[1]
@@ -142,17 +142,20 @@ def test_region_of_two_depths_says_so(bank: Bank) -> None:
     assert "not the same all over" in found.reason
 
 
-def test_sharp_object_does_not_speak_for_the_blurred_rest_of_its_region(bank: Bank) -> None:
+@pytest.mark.parametrize("seed", [18, 28, 38])
+def test_sharp_object_does_not_speak_for_the_blurred_rest_of_its_region(bank: Bank, seed: int) -> None:
     """It outweighs the rest of the spectrum so far that no mixture of blurs fits better: only the parts tell."""
-    sharp, blurred = (photograph(leaves(SIDE + 100, seed), depth) for seed, depth in ((18, 1800.0), (19, 2900.0)))
+    sharp, blurred = (
+        photograph(leaves(SIDE + 100, drawn), depth) for drawn, depth in ((seed, 1800.0), (seed + 1, 2900.0))
+    )
     corner = np.zeros((*sharp.shape, 1), bool)
-    corner[: sharp.shape[0] * 5 // 8, : sharp.shape[1] * 5 // 8] = True
+    corner[: sharp.shape[0] * 11 // 20, : sharp.shape[1] * 11 // 20] = True
     image = as_image(np.where(corner, sharp.planes, blurred.planes))
     found = estimate_evidence(image, bank, whole(image.shape))[1]
     assert found.status == "ambiguous"
     assert "not the same all over" in found.reason
     deaf = EvidenceOptions(parts_log_likelihood=1e9)
-    assert estimate_evidence(image, bank, whole(image.shape), deaf)[1].status == "ok"
+    assert "not the same all over" not in estimate_evidence(image, bank, whole(image.shape), deaf)[1].reason
 
 
 def test_mixture_of_neighbouring_blurs_is_their_mean() -> None:

@@ -9,11 +9,12 @@ import pytest
 
 from calibration.bank import Bank
 from calibration.image import LinearImage
-from calibration.mosaic import Mosaic
+from calibration.mosaic import Mosaic, superpixels
 from calibration.pupil import fit_pupil
-from tests.unit.depth_evidence.synthetic import HALF, leaves, make_bank, photograph_mosaic
+from tests.unit.depth_evidence.synthetic import HALF, as_image, leaves, make_bank, photograph_mosaic
 from workbench.depth.estimate import DepthEstimate
 from workbench.depth.evidence import EvidenceOptions, estimate_evidence
+from workbench.depth.evidence_windows import Window, thinned
 from workbench.depth.regions import whole
 
 SIDE = 2 * 128 + 2 * HALF
@@ -49,14 +50,44 @@ def test_side_and_depth_are_known_where_superpixels_leave_them_open(
     assert np.mean(widths[0]) < 0.6 * np.mean(widths[1])
 
 
-def test_photosites_without_details_of_their_own_are_not_looked_at(
-    bank: Bank, images: dict[float, LinearImage]
-) -> None:
-    """Far from focus nothing changes either."""
+def test_far_from_focus_photosites_change_nothing(bank: Bank) -> None:
     far = photograph_mosaic(leaves(SIDE, 5), 2600.0)
     assert measured(far, bank).depth_mm == measured(far, bank, EvidenceOptions(native_px=0.0)).depth_mm
-    plain = replace(images[1430.0], mosaic=None)
-    assert measured(plain, bank).depth_mm == measured(plain, bank, EvidenceOptions(native_px=0.0)).depth_mm
+
+
+@pytest.mark.parametrize("corner", [(0, 0), (37, 51), (132, 92)])
+def test_region_is_found_among_the_photosites_wherever_it_lies(
+    bank: Bank, images: dict[float, LinearImage], corner: tuple[int, int]
+) -> None:
+    """Its surroundings are of another depth, sharp: photosites of another place would be in focus."""
+    image, (top, left) = images[1430.0], corner
+    around = photograph_mosaic(leaves(2 * 260 + 2 * HALF, 9), 1600.0)
+    assert image.mosaic is not None
+    assert around.mosaic is not None
+    sites, planes, labels = around.mosaic.photosites.copy(), around.planes.copy(), np.zeros(around.shape, np.int32)
+    height, width = image.shape
+    sites[2 * top : 2 * (top + height), 2 * left : 2 * (left + width)] = image.mosaic.photosites
+    planes[top : top + height, left : left + width] = image.planes
+    labels[top : top + height, left : left + width] = 1
+    pasted = replace(as_image(planes), mosaic=replace(around.mosaic, photosites=sites))
+    found = estimate_evidence(pasted, bank, labels)[1]
+    assert abs(found.depth_mm - 1430.0) < 30.0
+    assert found.interval_mm[0] <= 1430.0 <= found.interval_mm[1]
+
+
+@pytest.mark.parametrize("seed", [3, 4])
+def test_colours_that_would_pass_for_detail_leave_the_photosites_alone(bank: Bank, seed: int) -> None:
+    """Every channel a texture of its own: what lies on the filters' carriers looks sharp, and so in focus."""
+    channels = [photograph_mosaic(leaves(SIDE, 1000 * k + seed), 1440.0).mosaic for k in (1, 2, 3)]
+    red, green, blue = (mosaic.photosites for mosaic in channels if mosaic is not None)
+    sites = green.copy()
+    sites[0::2, 0::2], sites[1::2, 1::2] = red[0::2, 0::2], blue[1::2, 1::2]
+    assert channels[0] is not None
+    mosaic = replace(channels[0], photosites=sites)
+    image = replace(as_image(superpixels(mosaic)[0]), mosaic=mosaic)
+    found = measured(image, bank)
+    assert found.interval_mm[0] <= 1440.0 <= found.interval_mm[1]
+    assert found.depth_mm == measured(replace(image, mosaic=None), bank).depth_mm
 
 
 def test_coloured_light_is_made_grey_first(bank: Bank, images: dict[float, LinearImage]) -> None:
@@ -79,3 +110,11 @@ def test_dark_channel_leaves_the_photosites_alone(bank: Bank, images: dict[float
     red = replace(image, planes=image.planes * np.array([1, 0, 0], np.float32), mosaic=Mosaic(
         sites, image.mosaic.pattern, image.mosaic.blacks, image.mosaic.white))  # fmt: skip
     assert measured(red, bank).depth_mm == measured(replace(red, mosaic=None), bank).depth_mm
+
+
+def test_few_windows_are_spread_over_a_region() -> None:
+    taper = np.ones((8, 8), np.float32)
+    grid = [Window(4 * row, 4 * column, taper, 1.0) for row in range(5) for column in range(5)]
+    assert thinned(grid, 30) == grid
+    assert {(w.row, w.column) for w in thinned(grid, 5)} == {(8, 8), (0, 0), (0, 16), (16, 0), (16, 16)}
+    assert [(w.row, w.column) for w in thinned(grid, 1)] == [(8, 8)]

@@ -1,0 +1,47 @@
+"""Fitting texture and noise for each blur: few steps must do, from wherever the scan comes."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from workbench.depth.evidence_spectrum import fit_spectra, frequencies
+
+SIZE = 128
+
+
+def blurs(count: int) -> np.ndarray:
+    """Squared transfer functions of discs of growing radius, float32 (count, N, N // 2 + 1)."""
+    modulus, _, _ = frequencies(SIZE)
+    turn = 2 * np.pi * modulus[np.newaxis] * np.linspace(0.2, 24.0, count)[:, np.newaxis, np.newaxis]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        airy = np.where(turn < 1e-3, 1.0, 2.0 * np.sin(turn) / turn)
+    return np.asarray(np.minimum(airy**2, 1.0) + 1e-6, np.float32)
+
+
+def periodogram(power: np.ndarray, averages: float, seed: int) -> np.ndarray:
+    return power * np.random.default_rng(seed).gamma(averages, 1.0 / averages, power.shape)
+
+
+@pytest.mark.parametrize(("contrast", "slope"), [(1e-2, 2.4), (1e-3, 3.5), (1e-4, 1.0)])
+def test_two_steps_from_either_end_and_twelve_find_the_same_likelihood(contrast: float, slope: float) -> None:
+    """Rich spectra of large regions: averages of many windows, texture far above the noise."""
+    expected = blurs(60)
+    modulus, _, _ = frequencies(SIZE)
+    texture = contrast * 1e-3 * np.maximum(modulus, 1 / SIZE) ** -slope
+    power = periodogram(texture * expected[25] + 1e-6, 40.0, 1)
+    up = fit_spectra(power, 40.0, expected).log_likelihood
+    down = fit_spectra(power, 40.0, expected[::-1].copy()).log_likelihood[::-1]
+    settled = fit_spectra(power, 40.0, expected, steps=12).log_likelihood
+    close = settled > settled.max() - 70.0
+    np.testing.assert_allclose(up[close], settled[close], atol=2.0)
+    np.testing.assert_allclose(down[close], settled[close], atol=2.0)
+    assert abs(int(up.argmax()) - 25) <= 1
+
+
+def test_more_steps_never_lose() -> None:
+    expected = blurs(40)
+    modulus, _, _ = frequencies(SIZE)
+    power = periodogram(0.1 * np.maximum(modulus, 1 / SIZE) ** -3.0 * expected[10] + 1e-6, 30.0, 2)
+    few, many = (fit_spectra(power, 30.0, expected, steps=steps).log_likelihood for steps in (2, 20))
+    assert (many > few - 1.0).all()
