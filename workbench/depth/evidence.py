@@ -61,7 +61,7 @@ FloatArray = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 _RAMP_PX = 12.0
-_MOST_WINDOWS = 64
+_MOST_WINDOWS = 100
 """Of a large region; averages of more are not trusted more."""
 _REFINED_WITHIN, _NARROW = 30.0, 5.0
 _NATIVE_WITHIN = 70.0
