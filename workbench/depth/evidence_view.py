@@ -36,9 +36,9 @@ Mask = NDArray[np.bool_]
 
 _CONTEXT_PX = 48
 """What is kept of the picture around a region's box; restorations look so far beyond their windows."""
-_SHAPELESS_PX, _SHAPELESS_NATIVE_PX = 1.5, 1.0
-"""Radius (superpixels) below which the lens's own spot and the pixels hide the aperture's shape, and so the side: to
-superpixels, and to photosites."""
+_SHAPELESS_PX = {1: 1.5, NATIVE_FINER: 1.0}
+"""Radius (superpixels) below which the lens's own spot and the pixels hide the aperture's shape, and so the side, by
+how fine the pixels are."""
 _EDGE_TRUST = 0.35
 """What the comparison of the sides counts where all of the region lies within two radii of its edge."""
 _REFINED_STEPS, _REFINED_FINER, _REFINED_FISHER_STEPS = 2, 3, 5
@@ -111,7 +111,7 @@ def view_photosites(
     plane = grey_photosites(part, mask[box])
     if plane is None:
         return None
-    soft, clear = (_enlarged(part[box]) for part in (superpixels.soft, superpixels.clear))
+    soft, clear = _enlarged(superpixels.soft[box]), _enlarged(superpixels.clear[box])
     chosen = thinned(superpixels.windows, _MOST_NATIVE_WINDOWS)
     windows = finer_windows(chosen, soft, NATIVE_FINER, (rows.start, columns.start))
     lags = model.native.kernel_lags
@@ -125,9 +125,9 @@ def view_photosites(
     return View(plane, soft, NATIVE_FINER * clear, windows, pooled, fit, NATIVE_FINER)
 
 
-def _enlarged(part: NDArray[np.float32]) -> NDArray[np.float32]:
-    shape = NATIVE_FINER * part.shape[1], NATIVE_FINER * part.shape[0]
-    return np.asarray(cv2.resize(part, shape, interpolation=cv2.INTER_LINEAR), np.float32)
+def _enlarged(values: NDArray[np.float32]) -> NDArray[np.float32]:
+    shape = NATIVE_FINER * values.shape[1], NATIVE_FINER * values.shape[0]
+    return np.asarray(cv2.resize(values, shape, interpolation=cv2.INTER_LINEAR), np.float32)
 
 
 def joined_likelihood(superpixels: View, photosites: View | None) -> FloatArray:
@@ -183,19 +183,16 @@ def compare_sides(
     How sparse they are by themselves is read from superpixels at every row, so that rows can be compared; how much one
     side is favoured, from photosites next to focus. A single row has none to be compared with.
     """
-    clues = []
-    for row in rows:
-        fine = photosites if photosites is not None and row < photosites.fit.log_likelihood.size else None
-        if fine is None or len(rows) > 1:
-            clue = _compare(superpixels, row, model, options, _SHAPELESS_PX)
-        if fine is not None:
-            finer = _compare(fine, row, model, options, _SHAPELESS_NATIVE_PX)
-            clue = Comparison(clue.sparse, finer.favour) if len(rows) > 1 else finer
-        clues.append(clue)
-    return clues
+    near = {} if photosites is None else {
+        row: _compare(photosites, row, model, options) for row in rows if row < photosites.fit.log_likelihood.size
+    }  # fmt: skip
+    if len(rows) == len(near) == 1:
+        return list(near.values())
+    clues = {row: _compare(superpixels, row, model, options) for row in rows}
+    return [Comparison(clue.sparse, near.get(row, clue).favour) for row, clue in clues.items()]
 
 
-def _compare(view: View, row: int, model: DepthModel, options: EvidenceOptions, shapeless_px: float) -> Comparison:
+def _compare(view: View, row: int, model: DepthModel, options: EvidenceOptions) -> Comparison:
     radius = abs(float(model.row_radius_px[row]))
     psfs: list[NDArray[np.float32]] = []
     for sign in (1.0, -1.0):
@@ -204,11 +201,13 @@ def _compare(view: View, row: int, model: DepthModel, options: EvidenceOptions, 
         else:
             psfs.append((psfs[0] if psfs else model.psf_at(-radius, view.finer))[::-1, ::-1])
     good = [w for w in view.windows if w.weight >= 0.6 * view.windows[0].weight]
-    few = view.finer == 1 or len(good) <= options.side_windows
-    chosen = thinned(good, options.side_windows if few else min(options.side_windows, _NATIVE_SIDE_WINDOWS))
+    most = options.side_windows
+    if view.finer > 1 and len(good) > most:
+        most = min(most, _NATIVE_SIDE_WINDOWS)
+    chosen = thinned(good, most)
     clue = compare(view.plane, view.soft, chosen, psfs, view.fit.texture(row))
     # next to focus the lens's own spot hides the aperture's shape, and with it the side
-    shown = -np.expm1(-((radius / shapeless_px) ** 2))
+    shown = -np.expm1(-((radius / _SHAPELESS_PX[view.finer]) ** 2))
     # near the edge a restoration lacks what the blur carried out of the region
     trust = min(1.0, _EDGE_TRUST + clear_share(view.clear, chosen, 2.0 * radius * view.finer))
     return Comparison(clue.sparse, shown * trust * clue.favour)
