@@ -22,6 +22,12 @@ ARGUMENTS = [
 
 
 @pytest.fixture(scope="session")
+def expect() -> Any:
+    """Playwright's assertions, which wait for what they assert."""
+    return pytest.importorskip("playwright.sync_api").expect
+
+
+@pytest.fixture(scope="session")
 def chromium_path() -> str:
     if CHROMIUM is None:
         pytest.skip("no Chromium on this machine (Debian: apt install chromium)")

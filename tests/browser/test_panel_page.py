@@ -142,12 +142,12 @@ def test_full_screen_is_asked_for_and_one_tap_gives_it(make_panel, open_page, sc
     assert page.evaluate("getComputedStyle(document.getElementById('panel')).cursor") == "none"
 
 
-def test_pattern_survives_a_change_of_size(make_panel, open_page, screenshot):
+def test_pattern_survives_a_change_of_size(make_panel, open_page, screenshot, expect):
     panel = make_panel()
     page = open_page(panel.urls()[0])
     panel.show(Pattern("dot", size_px=3, x_px=50))
     page.set_viewport_size({"width": 501, "height": 301})
-    page.wait_for_function("document.getElementById('panel').width === 501")
+    expect(page.locator("#panel")).to_have_js_property("width", 501)
     assert_disc(screenshot(page), 50, 0, 3)
     deadline = time.monotonic() + 5
     while panel.status().page.width_px != 501 and time.monotonic() < deadline:
