@@ -41,12 +41,12 @@ _SHAPELESS_PX = {1: 1.5, NATIVE_FINER: 1.0}
 how fine the pixels are."""
 _EDGE_TRUST = 0.35
 """What the comparison of the sides counts where all of the region lies within two radii of its edge."""
-_REFINED_STEPS, _REFINED_FINER, _REFINED_FISHER_STEPS = 2, 3, 5
+_REFINED_STEPS, _REFINED_FINER, _REFINED_FISHER_STEPS = 2, 3, 3
 _MOST_CHROMA = 0.4
 """Of textures with three independent channels mixed into a grey one, depths next to focus were right up to 0.45 and in
 focus, wherever they truly were, from 0.7 on; colour photographs have 0.02 to 0.6."""
 _ANCHOR_ROWS = 3
-_NATIVE_FISHER_STEPS = 3
+_NATIVE_FISHER_STEPS = 2
 _MOST_NATIVE_WINDOWS, _NATIVE_SIDE_WINDOWS = 25, 5
 """Of a large region: one window of photosites costs as much as four of superpixels, and five that lie apart see more
 than the nine overlapping ones of a small region."""
