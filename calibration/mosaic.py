@@ -82,10 +82,8 @@ def native_pixels(mosaic: Mosaic) -> tuple[NDArray[np.float32], NDArray[np.bool_
             values, span = _channel(mosaic, position), mosaic.white - mosaic.blacks[index]
             sparse[cell] = values * np.float32(1.0 / span)
             clipped[cell] = values >= SATURATION_FRACTION * span
-        # reflect_101 keeps the parity of the mosaic, so that the border needs no case of its own; the kernel hits
-        # a quarter of its weight in R and B photosites, half in G, wherever it stands
-        filled = cv2.sepFilter2D(sparse, cv2.CV_32F, _KERNEL, _KERNEL, borderType=cv2.BORDER_REFLECT_101)
-        planes[:, :, channel] = filled * np.float32(2.0 if channel == 1 else 4.0)
+        # the kernel hits a quarter of its weight in R and B photosites, half in G, wherever it stands
+        planes[:, :, channel] = _filtered(sparse) * np.float32(2.0 if channel == 1 else 4.0)
     saturated = cv2.dilate(clipped, np.ones((3, 3), np.uint8)) > 0
     return planes, np.asarray(saturated, np.bool_)
 
@@ -114,7 +112,7 @@ def grey_photosites(mosaic: Mosaic, inside: NDArray[np.bool_]) -> NDArray[np.flo
     for position, (channel, level) in enumerate(zip(channels, levels, strict=True)):
         gain = levels[green] / level / (mosaic.white - mosaic.blacks[1])
         sites[position // 2 :: 2, position % 2 :: 2] = channel * np.float32(gain)
-    return np.asarray(cv2.sepFilter2D(sites, cv2.CV_32F, _KERNEL, _KERNEL, borderType=cv2.BORDER_REFLECT_101))
+    return _filtered(sites)
 
 
 def native_luminance_power(fy: NDArray[np.float64], fx: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -135,6 +133,12 @@ def resolves_photosites(mosaic: Mosaic) -> bool:
     above = other[:-1, 2:] if first % 2 > second % 2 else other[:-1, :-2]
     within, across = one[1:, 1:-1] - other[1:, 1:-1], one[1:, 1:-1] - above
     return bool((within**2).sum(dtype=np.float64) >= _RESOLVED * (across**2).sum(dtype=np.float64))
+
+
+def _filtered(sites: NDArray[np.float32]) -> NDArray[np.float32]:
+    # reflect_101 keeps the parity of the mosaic, so that the border needs no case of its own
+    filtered = cv2.sepFilter2D(sites, cv2.CV_32F, _KERNEL, _KERNEL, borderType=cv2.BORDER_REFLECT_101)
+    return np.asarray(filtered, np.float32)
 
 
 def _channel(mosaic: Mosaic, position: int) -> NDArray[np.float32]:

@@ -8,7 +8,7 @@ saturated pixels.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -91,20 +91,24 @@ def place_windows(mask: Mask, soft: NDArray[np.float32], size: int, *, least_wei
         for y in _starts(rows.start, rows.stop, size, mask.shape[0])
         for x in _starts(columns.start, columns.stop, size, mask.shape[1])
     ]
+    return [window for window in _cut_windows(soft, corners, size) if window.weight >= least_weight]
+
+
+def _cut_windows(soft: NDArray[np.float32], corners: Iterable[tuple[int, int]], size: int) -> list[Window]:
+    """Windows at these corners, their tapers cut by the region's soft edge; by decreasing weight."""
     full = np.outer(hann(size), hann(size)).astype(np.float32)
     energy = float((full**2).sum())
-    windows = [_window(soft, y, x, full, energy) for y, x in corners]
-    return sorted((w for w in windows if w.weight >= least_weight), key=lambda w: -w.weight)
-
-
-def _window(soft: NDArray[np.float32], y: int, x: int, full: NDArray[np.float32], energy: float) -> Window:
-    size = full.shape[0]
-    cut = np.zeros((size, size), np.float32)
-    inside = soft[max(y, 0) : max(y + size, 0), max(x, 0) : max(x + size, 0)]
-    cut[max(-y, 0) : max(-y, 0) + inside.shape[0], max(-x, 0) : max(-x, 0) + inside.shape[1]] = inside
-    taper = full * cut
-    weight = float((taper**2).sum()) / energy
-    return Window(y, x, full, 1.0) if weight >= _FULL and not _holes(cut) else Window(y, x, taper, weight)
+    windows = []
+    for y, x in corners:
+        cut = np.zeros((size, size), np.float32)
+        inside = soft[max(y, 0) : max(y + size, 0), max(x, 0) : max(x + size, 0)]
+        cut[max(-y, 0) : max(-y, 0) + inside.shape[0], max(-x, 0) : max(-x, 0) + inside.shape[1]] = inside
+        taper = full * cut
+        weight = float((taper**2).sum()) / energy
+        if weight >= _FULL and not _holes(cut):
+            taper, weight = full, 1.0
+        windows.append(Window(y, x, taper, weight))
+    return sorted(windows, key=lambda w: -w.weight)
 
 
 def thinned(windows: Sequence[Window], most: int) -> list[Window]:
@@ -145,11 +149,8 @@ def finer_windows(
     list of Window
         In fine pixels of the part, by decreasing weight.
     """
-    size = finer * windows[0].taper.shape[0]
-    full = np.outer(hann(size), hann(size)).astype(np.float32)
-    energy = float((full**2).sum())
-    places = (((w.row - corner[0]) * finer, (w.column - corner[1]) * finer) for w in windows)
-    return sorted((_window(soft, y, x, full, energy) for y, x in places), key=lambda w: -w.weight)
+    corners = (((w.row - corner[0]) * finer, (w.column - corner[1]) * finer) for w in windows)
+    return _cut_windows(soft, corners, finer * windows[0].taper.shape[0])
 
 
 def soft_mask(mask: Mask, *, margin_px: float, ramp_px: float) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
