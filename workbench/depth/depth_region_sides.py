@@ -8,10 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import log_expit
 
+from workbench.depth.evidence_expected import smeared_power
 from workbench.depth.evidence_model import DepthModel, Learned
+from workbench.depth.evidence_periodogram import pooled_periodogram
 from workbench.depth.evidence_side import favour_by_window
-from workbench.depth.evidence_spectrum import fit_spectra, smeared_power
-from workbench.depth.evidence_windows import Window, pooled_periodogram
+from workbench.depth.evidence_spectrum import fit_spectra
+from workbench.depth.evidence_windows import Window
 
 FloatArray = NDArray[np.float64]
 

@@ -19,9 +19,11 @@ from scipy import ndimage
 from calibration.bank import Bank
 from calibration.image import LinearImage
 from workbench.depth.depth_region_sides import side_likelihoods
+from workbench.depth.evidence_expected import smeared_power
 from workbench.depth.evidence_model import DepthModel, EvidenceOptions, learned_of, prepare
-from workbench.depth.evidence_spectrum import fit_spectra, smeared_power
-from workbench.depth.evidence_windows import Window, hann, pooled_periodogram
+from workbench.depth.evidence_periodogram import pooled_periodogram
+from workbench.depth.evidence_spectrum import fit_spectra
+from workbench.depth.evidence_windows import Window, hann
 
 FloatArray = NDArray[np.float64]
 Labels = NDArray[np.int32]

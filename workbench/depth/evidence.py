@@ -19,11 +19,12 @@ from numpy.typing import NDArray
 
 from calibration.bank import Bank
 from calibration.image import LinearImage
-from calibration.mosaic import Mosaic
 from workbench.depth.estimate import DepthEstimate, Status
 from workbench.depth.evidence_colour import informative_mixture
 from workbench.depth.evidence_doubt import doubted, unless_another_blur_fits, unless_beyond_reach
+from workbench.depth.evidence_expected import smeared_power
 from workbench.depth.evidence_model import DepthModel, EvidenceOptions, Learned, learned_of, prepare
+from workbench.depth.evidence_periodogram import pooled_periodogram
 from workbench.depth.evidence_posterior import (
     Refined,
     find_modes,
@@ -32,12 +33,7 @@ from workbench.depth.evidence_posterior import (
     signed_posterior,
     summarise,
 )
-from workbench.depth.evidence_spectrum import (
-    SpectralFit,
-    fit_spectra,
-    frequencies,
-    smeared_power,
-)
+from workbench.depth.evidence_spectrum import SpectralFit, fit_spectra, frequencies
 from workbench.depth.evidence_uniform import mixture_gain, parts_loss
 from workbench.depth.evidence_view import (
     View,
@@ -46,7 +42,7 @@ from workbench.depth.evidence_view import (
     refine,
     view_photosites,
 )
-from workbench.depth.evidence_windows import covered_pixels, place_windows, pooled_periodogram, soft_mask, thinned
+from workbench.depth.evidence_windows import covered_pixels, place_windows, soft_mask, thinned
 
 __all__ = [
     "DepthModel",
@@ -104,8 +100,9 @@ def estimate_evidence(
         mask = labels == label
         mixture = informative_mixture(image, mask & ~image.saturated, options.colour_gain)
         plane = luminance if mixture is None else np.asarray(image.planes @ mixture.astype(np.float32))
-        mosaic = image.mosaic if mixture is None else None  # a colour by itself is sampled too coarsely
-        found[int(label)] = measure_region(plane, image.saturated, mask, model, learned, options, mosaic)
+        # a colour by itself is sampled too coarsely for its photosites to be looked at
+        whole = image if mixture is None and image.mosaic is not None else None
+        found[int(label)] = measure_region(plane, image.saturated, mask, model, learned, options, whole)
     return found
 
 
@@ -136,9 +133,12 @@ def observe(
     mask: Mask,
     model: DepthModel,
     options: EvidenceOptions,
-    mosaic: Mosaic | None = None,
+    with_photosites: LinearImage | None = None,
 ) -> Observation | None:
-    """Pool the region's windows and fit every blur; None where no window fits."""
+    """Pool the region's windows and fit every blur; None where no window fits.
+
+    Photosites are looked at next to focus, where an image is given that has them.
+    """
     margin = min(options.margin_px, options.margin * float(np.sqrt(mask.sum())))
     size = options.window_px
     soft, clear = soft_mask(mask, margin_px=margin, ramp_px=_RAMP_PX)
@@ -154,8 +154,8 @@ def observe(
     expected = smeared_power(model.kernel_lags, pooled.taper_lags, size)
     fit = fit_spectra(pooled.power, pooled.trusted, expected, factor=options.factor)
     view, photosites = View(plane, soft, clear, chosen, pooled, fit), None
-    if mosaic is not None and _next_to_focus(fit.log_likelihood, model):
-        photosites = view_photosites(mosaic, mask, view, model, options)
+    if with_photosites is not None and _next_to_focus(fit.log_likelihood, model):
+        photosites = view_photosites(with_photosites, mask, view, model, options)
     has_finer = size // 2 >= options.smallest_window_px
     finer = place_windows(mask, soft, size // 2, least_weight=options.least_weight) if has_finer else []
     pixels = sum(w.weight for w in windows) * size * size * 0.25  # half overlap both ways: each pixel counts fourfold
@@ -212,7 +212,7 @@ def measure_region(
     model: DepthModel,
     learned: Learned,
     options: EvidenceOptions,
-    mosaic: Mosaic | None = None,
+    with_photosites: LinearImage | None = None,
 ) -> DepthEstimate:
     """Depth of one region; see :func:`estimate_evidence`."""
     pixels = int(mask.sum())
@@ -220,7 +220,7 @@ def measure_region(
     if clipped > options.max_saturated:
         return _refused(model, "saturated", pixels, f"{clipped:.0%} of its pixels are saturated; expose less")
     usable = mask & ~saturated if clipped > 0.002 else mask
-    seen = observe(plane, usable, model, options, mosaic)
+    seen = observe(plane, usable, model, options, with_photosites)
     if seen is None:
         return _refused(
             model, "no-texture", pixels, f"too small or too thin for a window of {options.smallest_window_px} px"

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from scipy import linalg
 
 from calibration.image import LinearImage
-from calibration.mosaic import Mosaic, superpixels
 from workbench.depth.regions import bounding_box
 
 Mask = NDArray[np.bool_]
@@ -79,7 +78,7 @@ def informative_mixture(image: LinearImage, mask: Mask, least_gain: float) -> ND
     return np.asarray(weights * np.sign(weights[np.abs(weights).argmax()]))
 
 
-def chroma_over_luminance(mosaic: Mosaic, mask: Mask) -> float:
+def chroma_over_luminance(planes: Plane, mask: Mask) -> float:
     """Power of the texture that colour filters modulate onto their carriers, relative to the luminance's.
 
     A mosaic is its luminance and two colour differences, one on the carrier of the diagonal, one on those of rows and
@@ -87,21 +86,23 @@ def chroma_over_luminance(mosaic: Mosaic, mask: Mask) -> float:
 
     Parameters
     ----------
-    mosaic
-        A part of a photograph.
+    planes
+        float32 (H, W, 3): superpixels, R, G and B.
     mask
-        bool (H, W): its usable cells.
+        bool (H, W): usable ones.
     """
     rows, columns = (slice(max(0, (n - _CHROMA_SIDE) // 2), (n + _CHROMA_SIDE) // 2) for n in mask.shape)
     if mask[rows, columns].sum() < _ENOUGH_PIXELS:
         rows, columns = (slice(0, n) for n in mask.shape)
-    planes, _ = superpixels(mosaic.part(rows, columns))
-    inside = mask[rows, columns]
-    mean = np.maximum(planes[inside].mean(axis=0, dtype=np.float64), 1e-6)
-    signals = np.asarray(planes @ (_LUMINANCE_AND_CHROMA / mean[:, np.newaxis]).astype(np.float32))
+    inside, part = mask[rows, columns], planes[rows, columns]
+    thin = max(1, int(np.sqrt(inside.size / _MANY_PIXELS)))
+    counted = inside[::thin, ::thin]
+    mean = np.maximum(part[::thin, ::thin][counted].mean(axis=0, dtype=np.float64), 1e-6)
+    signals = np.asarray(part @ (_LUMINANCE_AND_CHROMA / mean[:, np.newaxis]).astype(np.float32))
     band = cv2.GaussianBlur(signals, (0, 0), 1.0) - cv2.GaussianBlur(signals, (0, 0), 4.0)
-    noise = _covariance(np.asarray(cv2.filter2D(signals, -1, _SECOND), np.float32), inside)
-    power = np.diag(_covariance(np.asarray(band, np.float32), inside) - _BAND_NOISE * noise)
+    noise = cv2.filter2D(signals, -1, _SECOND)
+    texture, fine = (_covariance(np.asarray(seen[::thin, ::thin], np.float32), counted) for seen in (band, noise))
+    power = np.diag(texture - _BAND_NOISE * fine)
     return float(max(power[1] + 2.0 * power[2], 0.0) / max(power[0], 1e-12))
 
 

@@ -10,8 +10,8 @@ from scipy import fft
 
 from calibration.bank import Bank
 from calibration.pupil import PsfModel, PupilModel, psf_model
+from workbench.depth.evidence_scan import TextureFactor
 from workbench.depth.evidence_side import STATISTICS
-from workbench.depth.evidence_spectrum import TextureFactor
 from workbench.depth.options import require
 
 FloatArray = NDArray[np.float64]

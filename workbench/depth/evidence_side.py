@@ -20,10 +20,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
+from workbench.depth.compiled import compiled
 from workbench.depth.evidence_spectrum import TextureSpectrum, frequencies
 from workbench.depth.evidence_windows import Window, cut_out, hann
 
 FloatArray = NDArray[np.float64]
+Plane = NDArray[np.float32]
 Complex = NDArray[np.complex64]
 
 FAMILIES = ("whitened", "wiener", "band 0.35", "band 0.18")
@@ -169,8 +171,6 @@ def _moments(
     patches -= ((patches * seen).sum(axis=(1, 2)) / seen.sum(axis=(1, 2)))[:, np.newaxis, np.newaxis]
     spectra = fft.rfft2((patches * seen).astype(np.float32))
     weights = np.stack([w.taper**2 for w in windows])
-    tiled = (len(windows), _TILES, inner // _TILES, _TILES, inner // _TILES)
-    by_tile = weights.reshape(tiled)
     found = np.zeros((3, len(psfs), len(FAMILIES), _DIRECTIONS, len(windows), _TILES, _TILES))
     ratio = _texture_over_noise(texture, size)
     for i, psf in enumerate(psfs):
@@ -179,11 +179,28 @@ def _moments(
                 response = fft.irfft2(spectra * filt, s=(size, size))[:, _CONTEXT:-_CONTEXT, _CONTEXT:-_CONTEXT]
                 square = response * response
                 root = (square + np.float32(1e-30)) ** np.float32(_SPARSE / 2)
-                weighted = (weights * square).reshape(tiled)
-                found[0, i, j, k] = np.einsum("watbu,watbu->wab", by_tile, root.reshape(tiled), dtype=np.float64)
-                found[1, i, j, k] = weighted.sum(axis=(2, 4), dtype=np.float64)
-                found[2, i, j, k] = np.einsum("watbu,watbu->wab", weighted, square.reshape(tiled), dtype=np.float64)
+                _add_moments(root, square, weights, found[:, i, j, k])
     return _Moments(found[0], found[1], found[2], weights.sum(axis=(1, 2), dtype=np.float64))
+
+
+@compiled
+def _add_moments(root: Plane, square: Plane, weights: Plane, sums: FloatArray) -> None:
+    # Weighted sums of |g|^0.8, g^2 and g^4 over each tile of each window: (3, W, tiles, tiles).
+    tile = weights.shape[1] // _TILES
+    for w in range(weights.shape[0]):
+        for row in range(_TILES * tile):
+            for b in range(_TILES):
+                part = slice(b * tile, (b + 1) * tile)
+                weight, small, middle = weights[w, row, part], root[w, row, part], square[w, row, part]
+                sparse, even, peaked = np.float32(0.0), np.float32(0.0), np.float32(0.0)
+                for u in range(tile):
+                    weighed = weight[u] * middle[u]
+                    sparse += weight[u] * small[u]
+                    even += weighed
+                    peaked += weighed * middle[u]
+                sums[0, w, row // tile, b] += sparse
+                sums[1, w, row // tile, b] += even
+                sums[2, w, row // tile, b] += peaked
 
 
 def _filters(psf: NDArray[np.float32], ratio: NDArray[np.float32]) -> Iterator[list[Complex]]:

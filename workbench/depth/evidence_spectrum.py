@@ -17,9 +17,8 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
-from scipy.special import gammaln
 
-from workbench.depth.compiled import compiled
+from workbench.depth.evidence_scan import TextureFactor, likelihood_tables, noise_alone, scan_blurs
 
 FloatArray = NDArray[np.float64]
 Float32 = NDArray[np.float32]
@@ -34,18 +33,9 @@ _RIDGE_SD, _NO_RIDGE_SD = 2.0, 0.01
 hold nearly all of their power within a few frequencies of a line through the origin."""
 _COHERENT = 0.5
 """Coherence of the gradients' directions from which on there are ridges; charts, photographs and brick have less."""
-_LOW, _STEP, _CELLS = -12.0, 0.125, 256
-"""The likelihood is tabulated over log(I/n) and log(S k/n)."""
 _ABOVE_NOISE = 1.5
 """Log power over the noise from which on a frequency tells of the texture by itself."""
-_LEAST_LOG = -60.0
-"""No single frequency may count more against a depth than this: the outlier floor."""
-_WORSE, _MOST_HALVINGS = 0.1, 6
-"""A scoring step that loses more than so much log-likelihood is halved, at most so often, then not taken."""
-_UNSETTLED, _MOST_STEPS = 10.0, 20
-"""Where the last step gained more than so much log-likelihood, two more are taken, up to so many in all."""
-_SMEARED_AT_ONCE = 8
-_AVERAGES = (1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 18.0, 27.0, 40.0)
+_FEW_AVERAGES = 3.5
 FIRST_CYCLE = 2.0
 """Frequencies with fewer cycles per window are left out: shading and the taper's main lobe."""
 
@@ -130,12 +120,16 @@ class TextureSpectrum:
         return np.asarray(basis(modulus, direction, self.axis, self.band) @ self.coefficients)
 
 
+@lru_cache(maxsize=16)
 def frequencies(size: int, band: Band = SUPERPIXELS) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
-    """|f| and direction on the half plane (N, N // 2 + 1), and which of it is used (each frequency once)."""
+    """|f| and direction on the half plane (N, N // 2 + 1), and which of it is used (each frequency once); read-only."""
     fy, fx = fft.fftfreq(size)[:, np.newaxis], fft.rfftfreq(size)[np.newaxis, :]
     modulus = np.hypot(fy, fx)
     used = (modulus * size >= FIRST_CYCLE) & (modulus <= band.highest) & ~((fx == 0) & (fy < 0))
-    return modulus, np.arctan2(fy + 0 * fx, fx + 0 * fy), used
+    direction = np.arctan2(fy + 0 * fx, fx + 0 * fy)
+    for shared in (modulus, direction, used):
+        shared.setflags(write=False)
+    return modulus, direction, used
 
 
 def basis(modulus: FloatArray, direction: FloatArray, axis: float, band: Band = SUPERPIXELS) -> FloatArray:
@@ -191,107 +185,6 @@ def _prior(width: int, log_knots: FloatArray, ridge_sd: float) -> tuple[FloatArr
     return design.T @ design, design.T @ target
 
 
-def smeared_power(kernel_lags: Float32, taper_lags: FloatArray, size: int) -> Float32:
-    """Expected periodogram of white texture behind each blur.
-
-    Parameters
-    ----------
-    kernel_lags
-        float32 (D, 2 L + 1, 2 L + 1): autocorrelation of each PSF.
-    taper_lags
-        float64 (2 L + 1, 2 L + 1).
-    size
-        Window side N; lags beyond it fold over, as sampling the spectrum at N frequencies makes them.
-
-    Returns
-    -------
-    float32 (D, N, N // 2 + 1).
-    """
-    longest = kernel_lags.shape[1] // 2
-    reach = min(longest, size - 1)  # the taper has no longer lags
-    part = slice(longest - reach, longest + reach + 1)
-    taper = taper_lags[part, part].astype(np.float32)
-    power = np.empty((kernel_lags.shape[0], size, size // 2 + 1), np.float32)
-    # a few blurs at a time, as many as the processor's cache holds
-    unfolded = np.zeros((_SMEARED_AT_ONCE, 2 * size, 2 * size), np.float32)
-    middle = unfolded[:, size - reach : size + reach + 1, size - reach : size + reach + 1]
-    for first in range(0, len(power), _SMEARED_AT_ONCE):
-        count = min(_SMEARED_AT_ONCE, len(power) - first)
-        np.multiply(kernel_lags[first : first + count, part, part], taper, out=middle[:count])
-        rows = unfolded[:count, :size] + unfolded[:count, size:]
-        power[first : first + count] = fft.rfft2(rows[:, :, :size] + rows[:, :, size:], axes=(1, 2)).real
-    return power
-
-
-def mixed_power(expected: Float32, radius_px: FloatArray, spread_px: float) -> Float32:
-    """Expected periodogram where all blurs up to ``spread_px`` smaller or larger than one another occur side by side.
-
-    Parameters
-    ----------
-    expected
-        float32 (D, N, N // 2 + 1): :func:`smeared_power` of each blur.
-    radius_px
-        float64 (D,): their radii, evenly spaced; |radius| counts, so that blurs of both sides of focus may mix.
-    spread_px
-        Half the range of radii in a mixture.
-
-    Returns
-    -------
-    float32 (M, N, N // 2 + 1)
-        Mixtures about every third radius.
-    """
-    radius = np.abs(radius_px)
-    step = float(np.median(np.abs(np.diff(radius))))
-    order = np.argsort(radius)
-    ascending = radius[order]
-    middles = ascending[::3][ascending[::3] <= ascending[-1] - 0.5 * spread_px]
-    offsets = np.arange(-spread_px, spread_px + 0.5 * step, step)
-    # both sides of focus where rows are signed: the nearest row of that |radius| will do
-    nearest = np.abs(np.abs(middles[:, np.newaxis] + offsets)[:, :, np.newaxis] - ascending).argmin(axis=2)
-    share = np.zeros((middles.size, radius.size), np.float32)
-    np.add.at(share, (np.arange(middles.size)[:, np.newaxis], order[nearest]), np.float32(1.0 / offsets.size))
-    return np.asarray((share @ expected.reshape(radius.size, -1)).reshape(middles.size, *expected.shape[1:]))
-
-
-@lru_cache(maxsize=64)
-def _tables(averages: float, spread: float, wide_share: float, wide_spread: float) -> tuple[Float32, ...]:
-    """Log density of log I, its slopes in log(S k) and log n, and the Fisher information, over the table's grid."""
-    grid = _LOW + _STEP * np.arange(_CELLS)
-    # the mean is n (1 + exp(b + log g)): one function of b + log g, averaged over log g by a matrix product
-    tail = 4.0 * wide_spread
-    shifted = np.arange(_LOW - tail, grid[-1] + tail, _STEP)
-    excess = grid[:, np.newaxis] - np.logaddexp(shifted, 0.0)
-    log_gamma = averages * (excess - np.exp(np.minimum(excess, 30.0)) + np.log(averages)) - gammaln(averages)
-    distance = shifted[:, np.newaxis] - grid
-    kernel = (1.0 - wide_share) * _normal(distance, spread) + wide_share * _normal(distance, wide_spread)
-    table = np.log(np.exp(log_gamma) @ kernel + 1e-300)
-    table = np.maximum(table, _LEAST_LOG)
-    by_signal = np.gradient(table, _STEP, axis=1)
-    by_noise = -np.gradient(table, _STEP, axis=0) - by_signal
-    density = np.exp(table)
-    density /= density.sum(axis=0, keepdims=True)
-    information = [(density * a * b).sum(axis=0) for a, b in
-                   ((by_signal, by_signal), (by_signal, by_noise), (by_noise, by_noise))]  # fmt: skip
-    tables = (table, by_signal, by_noise, *information)
-    # subnormal numbers would cost a hundred times as much as zero, and say no more
-    return tuple(np.ascontiguousarray(np.where(np.abs(t) < 1e-20, 0.0, t), np.float32) for t in tables)
-
-
-def _normal(distance: FloatArray, spread: float) -> FloatArray:
-    """Normal density on the grid, each column of unit sum."""
-    weight = np.exp(-0.5 * (distance / spread) ** 2)
-    return np.asarray(weight / weight.sum(axis=0), np.float64)
-
-
-@dataclass(frozen=True, slots=True)
-class TextureFactor:
-    """Distribution of the unknown factor g per frequency: standard deviation of its logarithm, and of a second part."""
-
-    spread: float = 0.5
-    wide_share: float = 0.1
-    wide_spread: float = 2.5
-
-
 def fit_spectra(
     power: FloatArray,
     averages: float,
@@ -332,175 +225,23 @@ def fit_spectra(
     terms = basis(modulus[used], direction[used], axis, band)
     log_power = np.log(np.maximum(power[used], 1e-16)).astype(np.float32)
     log_expected = np.log(np.maximum(expected[:, used], 1e-9)).astype(np.float32)
-    worth = min(_AVERAGES, key=lambda a: abs(np.log(a / max(averages, 1.0))))
-    tables = _tables(worth, factor.spread, factor.wide_share, factor.wide_spread)
+    tables = likelihood_tables(averages, factor)
     # ridges where one direction prevails only: elsewhere they lead the few scoring steps astray
     precision, pull = _prior(terms.shape[1], band.log_knots, _RIDGE_SD if coherence > _COHERENT else _NO_RIDGE_SD)
     # the lowest tenth is noise, or less than texture: single periodograms scatter far below their mean
-    noise = float(np.log(max(float(np.percentile(power[used], 10)), 1e-16) / (0.3 if worth < 4 else 1.0)))
+    tenth = max(float(np.percentile(power[used], 10)), 1e-16)
+    noise = float(np.log(tenth / (0.3 if averages < _FEW_AVERAGES else 1.0)))
     arguments = (np.ascontiguousarray(terms.T, np.float32), precision, pull)
     if start is None:
         # least squares where there is more than noise, and at the lowest frequencies in any case
         usable = (log_power > noise + _ABOVE_NOISE) | (modulus[used] < band.knots[1] * 1.4)
         seen, target = terms[usable], log_power[usable] - log_expected[0, usable]
         first = np.linalg.solve(precision + seen.T @ seen + 1e-6 * np.eye(len(pull)), pull + seen.T @ target)
-        _, warm, warm_noise = _scan(
+        _, warm, warm_noise = scan_blurs(
             log_power, log_expected[:1], *arguments, first, noise, noise, 12, correlation, *tables
         )
         start = warm[0], float(warm_noise[0])
-    likelihood, coefficients, log_noise = _scan(
+    likelihood, coefficients, log_noise = scan_blurs(
         log_power, log_expected, *arguments, *start, noise, steps, correlation, *tables
     )
-    return SpectralFit(likelihood, _noise_alone(log_power, tables[0], correlation), coefficients, log_noise, axis, band)
-
-
-def _noise_alone(log_power: Float32, table: Float32, correlation: float) -> float:
-    column = table[:, 0].astype(np.float64)
-    grid = _LOW + _STEP * np.arange(_CELLS)
-    level = np.log(np.mean(np.exp(log_power.astype(np.float64))))
-    trials = [float(np.interp(log_power - level - shift, grid, column).sum()) for shift in (-0.4, -0.2, 0.0, 0.2)]
-    return correlation * max(trials)
-
-
-@compiled
-def _scan(
-    log_power: Float32,
-    log_expected: Float32,
-    columns: Float32,
-    precision: FloatArray,
-    pull: FloatArray,
-    start: FloatArray,
-    start_noise: float,
-    prior_noise: float,
-    steps: int,
-    correlation: float,
-    table: Float32,
-    by_signal: Float32,
-    by_noise: Float32,
-    info_ss: Float32,
-    info_sn: Float32,
-    info_nn: Float32,
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    # Loops over frequencies are innermost and plain, one array at a time: so they become vector instructions.
-    blurs, count = log_expected.shape
-    p = columns.shape[0]
-    cells = table.shape[0]
-    likelihood, coefficients, noises = np.zeros(blurs), np.zeros((blurs, p)), np.zeros(blurs)
-    theta, log_noise = start.copy(), start_noise
-    gradient, hessian, towards = np.zeros(p + 1), np.zeros((p + 1, p + 1)), np.zeros(p)
-    signal, slope, slope_noise = np.zeros(count, np.float32), np.zeros(count, np.float32), np.zeros(count, np.float32)
-    ss, sn, nn = np.zeros(count, np.float32), np.zeros(count, np.float32), np.zeros(count, np.float32)
-    weighted = np.zeros(count, np.float32)
-    kept, kept_noise = theta.copy(), log_noise
-    for d in range(blurs):
-        taken, wanted, halved, best = 0, steps, 0, -np.inf
-        while True:
-            signal[:] = log_expected[d]
-            for j in range(p):
-                factor = np.float32(theta[j])
-                column = columns[j]
-                for f in range(count):
-                    signal[f] += factor * column[f]
-            total = 0.0
-            for f in range(count):
-                y = min(max((log_power[f] - log_noise - _LOW) / _STEP, 0.0), cells - 1.001)
-                x = min(max((signal[f] - log_noise - _LOW) / _STEP, 0.0), cells - 1.001)
-                y0, x0 = int(y), int(x)
-                y -= y0
-                x -= x0
-                w00, w01, w10, w11 = (1 - y) * (1 - x), (1 - y) * x, y * (1 - x), y * x
-                total += (
-                    w00 * table[y0, x0] + w01 * table[y0, x0 + 1]
-                    + w10 * table[y0 + 1, x0] + w11 * table[y0 + 1, x0 + 1]
-                )  # fmt: skip
-                if taken < wanted:
-                    slope[f] = (
-                        w00 * by_signal[y0, x0] + w01 * by_signal[y0, x0 + 1]
-                        + w10 * by_signal[y0 + 1, x0] + w11 * by_signal[y0 + 1, x0 + 1]
-                    )  # fmt: skip
-                    slope_noise[f] = (
-                        w00 * by_noise[y0, x0] + w01 * by_noise[y0, x0 + 1]
-                        + w10 * by_noise[y0 + 1, x0] + w11 * by_noise[y0 + 1, x0 + 1]
-                    )  # fmt: skip
-                    ss[f], sn[f], nn[f] = info_ss[x0], info_sn[x0], info_nn[x0]
-            total *= correlation
-            for j in range(p):
-                left = pull[j]
-                for k in range(p):
-                    left -= precision[j, k] * theta[k]
-                towards[j] = left
-                total += 0.5 * theta[j] * (pull[j] + left)
-            total -= 0.25 * (log_noise - prior_noise) ** 2
-            if total < best - _WORSE:  # the last step went too far
-                halved += 1
-                if halved > _MOST_HALVINGS:
-                    theta[:], log_noise, total = kept, kept_noise, best
-                    break
-                theta[:] = 0.5 * (theta + kept)
-                log_noise = 0.5 * (log_noise + kept_noise)
-                continue
-            if taken == wanted:
-                if total - best < _UNSETTLED or wanted >= _MOST_STEPS:
-                    break
-                wanted += 2
-                continue
-            kept[:], kept_noise, best = theta, log_noise, total
-            for j in range(p):
-                column = columns[j]
-                gradient[j] = _dot(slope, column)
-                hessian[p, j] = _dot(sn, column)
-                for f in range(count):
-                    weighted[f] = ss[f] * column[f]
-                for k in range(j + 1):
-                    hessian[j, k] = _dot(weighted, columns[k])
-            gradient[p] = slope_noise.sum()
-            hessian[p, p] = nn.sum()
-            gradient *= correlation
-            hessian *= correlation
-            gradient[:p] += towards
-            gradient[p] -= 0.5 * (log_noise - prior_noise)
-            hessian[p, p] += 0.5
-            for j in range(p):
-                for k in range(j + 1):
-                    hessian[j, k] += precision[j, k]
-            for j in range(p + 1):
-                hessian[j, j] = 1.02 * hessian[j, j] + 1e-3
-            _solve(hessian, gradient)
-            shorter = min(1.0, 2.0 / max(float(np.abs(gradient).max()), 1e-9))
-            theta += shorter * gradient[:p]
-            log_noise += shorter * float(gradient[p])
-            taken, halved = taken + 1, 0
-        likelihood[d], noises[d] = total, log_noise
-        coefficients[d] = theta
-    return likelihood, coefficients, noises
-
-
-@compiled
-def _dot(first: Float32, second: Float32) -> float:
-    total = np.float32(0.0)
-    for f in range(first.shape[0]):
-        total += first[f] * second[f]
-    return float(total)
-
-
-@compiled
-def _solve(lower: FloatArray, vector: FloatArray) -> None:
-    """Solve a positive definite system in place (Cholesky); only the lower triangle is read."""
-    n = vector.shape[0]
-    for i in range(n):
-        for j in range(i + 1):
-            left = lower[i, j]
-            for k in range(j):
-                left -= lower[i, k] * lower[j, k]
-            if i == j:
-                lower[i, i] = np.sqrt(max(left, 1e-12))
-            else:
-                lower[i, j] = left / lower[j, j]
-    for i in range(n):
-        for k in range(i):
-            vector[i] -= lower[i, k] * vector[k]
-        vector[i] /= lower[i, i]
-    for i in range(n - 1, -1, -1):
-        for k in range(i + 1, n):
-            vector[i] -= lower[k, i] * vector[k]
-        vector[i] /= lower[i, i]
+    return SpectralFit(likelihood, noise_alone(log_power, tables[0], correlation), coefficients, log_noise, axis, band)

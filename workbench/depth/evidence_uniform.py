@@ -11,9 +11,11 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from workbench.depth.evidence_expected import mixed_power, smeared_power
 from workbench.depth.evidence_model import DepthModel, EvidenceOptions
-from workbench.depth.evidence_spectrum import fit_spectra, mixed_power, smeared_power
-from workbench.depth.evidence_windows import Pooled, Window, pooled_periodogram
+from workbench.depth.evidence_periodogram import Pooled, pooled_periodogram
+from workbench.depth.evidence_spectrum import fit_spectra
+from workbench.depth.evidence_windows import Window
 
 _LEAST_WINDOWS, _MOST_WINDOWS = 9, 80
 """Three by three half-overlapping windows: fewer are no four parts. More than so many say nothing new."""

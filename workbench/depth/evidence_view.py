@@ -15,20 +15,16 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
-from calibration.mosaic import Mosaic, grey_photosites, native_luminance_power
+from calibration.image import LinearImage
+from calibration.mosaic import grey_photosites, native_luminance_power
 from workbench.depth.evidence_colour import chroma_over_luminance
+from workbench.depth.evidence_expected import smeared_power
 from workbench.depth.evidence_model import NATIVE_FINER, DepthModel, EvidenceOptions
+from workbench.depth.evidence_periodogram import Pooled, pooled_periodogram
 from workbench.depth.evidence_posterior import Refined
 from workbench.depth.evidence_side import Comparison, compare
-from workbench.depth.evidence_spectrum import PHOTOSITES, SpectralFit, fit_spectra, smeared_power
-from workbench.depth.evidence_windows import (
-    Pooled,
-    Window,
-    clear_share,
-    finer_windows,
-    pooled_periodogram,
-    thinned,
-)
+from workbench.depth.evidence_spectrum import PHOTOSITES, SpectralFit, fit_spectra
+from workbench.depth.evidence_windows import Window, clear_share, finer_windows, thinned
 from workbench.depth.regions import bounding_box
 
 FloatArray = NDArray[np.float64]
@@ -82,14 +78,14 @@ class View:
 
 
 def view_photosites(
-    mosaic: Mosaic, mask: Mask, superpixels: View, model: DepthModel, options: EvidenceOptions
+    image: LinearImage, mask: Mask, superpixels: View, model: DepthModel, options: EvidenceOptions
 ) -> View | None:
     """A region's photosites, its spectrum fitted for the blurs next to focus.
 
     Parameters
     ----------
-    mosaic
-        Of the whole photograph.
+    image
+        The photograph, its photosites kept.
     mask
         bool (H, W): usable superpixels of the region.
     superpixels
@@ -104,11 +100,11 @@ def view_photosites(
         and where colours change so much that the filters' carriers, with what they modulate, would pass for detail.
     """
     assert model.native is not None
+    assert image.mosaic is not None
     box = rows, columns = bounding_box(mask, _CONTEXT_PX)
-    part = mosaic.part(rows, columns)
-    if chroma_over_luminance(part, mask[box]) > _MOST_CHROMA:
+    if chroma_over_luminance(image.planes[box], mask[box]) > _MOST_CHROMA:
         return None
-    plane = grey_photosites(part, mask[box])
+    plane = grey_photosites(image.mosaic.part(rows, columns), mask[box])
     if plane is None:
         return None
     soft, clear = _enlarged(superpixels.soft[box]), _enlarged(superpixels.clear[box])

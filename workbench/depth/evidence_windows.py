@@ -1,10 +1,4 @@
-"""Windows inside a region, and their pooled periodogram with the taper's own autocorrelation.
-
-A taper smears the spectrum and fills the zeros that carry the depth; the model is therefore smeared alike. That is
-cheap in the lag domain: the expected periodogram is the transform of the image's autocovariance times the taper's
-autocorrelation, whatever the taper's shape, so that windows may be cut by a region's outline, by holes and by
-saturated pixels.
-"""
+"""Tapered windows that cover a region of any shape, its outline and its holes fading out under a soft edge."""
 
 from __future__ import annotations
 
@@ -13,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import fft
 
 from workbench.depth.regions import bounding_box, edge_distance
 
@@ -33,30 +26,6 @@ class Window:
     taper: NDArray[np.float32]
     weight: float
     """Energy of the taper relative to an unhindered one."""
-
-
-@dataclass(frozen=True, slots=True)
-class Pooled:
-    """Average periodogram of a region's windows.
-
-    Attributes
-    ----------
-    power
-        float64 (N, N // 2 + 1): squared modulus over the tapers' energy.
-    averages
-        Number of periodograms that the average is worth.
-    taper_lags
-        float64 (2 L + 1, 2 L + 1): autocorrelation of the tapers, 1 at zero lag, for lags up to L.
-    """
-
-    power: FloatArray
-    averages: float
-    taper_lags: FloatArray
-
-    @property
-    def trusted(self) -> float:
-        """What the average is taken to be worth: somewhat less, textures being no stationary noise."""
-        return max(1.0, 0.7 * self.averages)
 
 
 def hann(size: int) -> FloatArray:
@@ -100,8 +69,11 @@ def _cut_windows(soft: NDArray[np.float32], corners: Iterable[tuple[int, int]], 
     energy = float((full**2).sum())
     windows = []
     for y, x in corners:
-        cut = np.zeros((size, size), np.float32)
         inside = soft[max(y, 0) : max(y + size, 0), max(x, 0) : max(x + size, 0)]
+        if inside.shape == full.shape and inside.min() == 1.0:
+            windows.append(Window(y, x, full, 1.0))
+            continue
+        cut = np.zeros((size, size), np.float32)
         cut[max(-y, 0) : max(-y, 0) + inside.shape[0], max(-x, 0) : max(-x, 0) + inside.shape[1]] = inside
         taper = full * cut
         weight = float((taper**2).sum()) / energy
@@ -220,94 +192,16 @@ def _starts(first: int, last: int, size: int, limit: int) -> list[int]:
     return sorted({round(s) for s in np.linspace(first, last - size, count)})
 
 
-def cut_out(plane: NDArray[np.float32], row: int, column: int, height: int, width: int) -> FloatArray:
-    """Rectangle of a plane, mirrored where it reaches beyond the frame; float64 (height, width)."""
+def cut_out(plane: NDArray[np.float32], row: int, column: int, height: int, width: int) -> NDArray[np.float32]:
+    """Rectangle of a plane, mirrored beyond its borders; float32 (height, width), a view where it can be."""
+    if row >= 0 and column >= 0 and row + height <= plane.shape[0] and column + width <= plane.shape[1]:
+        return plane[row : row + height, column : column + width]
     rows = _mirrored(np.arange(row, row + height), plane.shape[0])
     columns = _mirrored(np.arange(column, column + width), plane.shape[1])
-    return np.asarray(plane[np.ix_(rows, columns)], np.float64)
+    return plane[np.ix_(rows, columns)]
 
 
 def _mirrored(index: NDArray[np.intp], length: int) -> NDArray[np.intp]:
     period = 2 * length
     folded = np.mod(index, period)
     return np.asarray(np.where(folded < length, folded, period - 1 - folded), np.intp)
-
-
-def pooled_periodogram(plane: NDArray[np.float32], windows: Sequence[Window], lags: int) -> Pooled:
-    """Average the windows' periodograms.
-
-    The image is differenced along both axes before it is tapered, and the spectrum divided by the differences' response
-    (prewhitening, Blackman and Tukey 1958): power falls steeply with frequency, and what the taper's side lobes carry
-    from the lowest frequencies would otherwise drown the highest. A plane is subtracted first under each taper.
-
-    Parameters
-    ----------
-    plane
-        float32 (H, W).
-    windows
-        At least one.
-    lags
-        Longest lag (px) of the taper's autocorrelation that is needed.
-    """
-    size = windows[0].taper.shape[0]
-    total, energy = np.zeros((size, size // 2 + 1)), 0.0
-    correlation = np.zeros((2 * size, size + 1))
-    ramp = (np.arange(size) - (size - 1) / 2.0) / size
-    full: tuple[float, FloatArray] | None = None
-    full_fit: tuple[FloatArray, FloatArray] | None = None
-    for window in windows:
-        taper = window.taper.astype(np.float64)
-        fit = full_fit if full_fit is not None and window.weight == 1.0 else _plane_fit(taper, ramp)
-        if window.weight == 1.0:
-            full_fit = fit
-        context = cut_out(plane, window.row - 1, window.column - 1, size + 1, size + 1)
-        for step in (context[1:, 1:] - context[:-1, 1:], context[1:, 1:] - context[1:, :-1]):
-            spectrum = fft.rfft2((_flattened(step, fit) * taper).astype(np.float32))
-            total += spectrum.real**2 + spectrum.imag**2
-        e = float((taper**2).sum())
-        energy += e
-        if window.weight == 1.0 and full is not None:
-            correlation += full[1]
-        else:
-            own = np.abs(fft.rfft2(taper, s=(2 * size, 2 * size))) ** 2
-            correlation += own
-            if window.weight == 1.0:
-                full = e, own
-    lag = fft.irfft2(correlation, s=(2 * size, 2 * size)) / energy
-    reach = min(lags, size - 1)
-    wanted = np.arange(-lags, lags + 1)
-    inside = np.abs(wanted) <= reach
-    picked = lag[np.ix_(wanted % (2 * size), wanted % (2 * size))] * np.outer(inside, inside)
-    turn = 2.0 * np.pi * np.fft.fftfreq(size)
-    response = 4.0 - 2.0 * np.cos(turn)[:, np.newaxis] - 2.0 * np.cos(turn[: size // 2 + 1])
-    response[0, 0] = 1.0
-    return Pooled(total / response / energy, _worth(windows), np.asarray(picked, np.float64))
-
-
-def _worth(windows: Sequence[Window]) -> float:
-    """Independent periodograms that these windows amount to (Welch 1967): overlapping ones repeat each other."""
-    size = windows[0].taper.shape[0]
-    own = hann(size)
-    lags = np.correlate(own, own, "full") / float(own @ own)
-    far = np.zeros(2 * size + 1)
-    far[1:-1] = lags
-    weight = np.array([w.weight for w in windows])
-    share = np.outer(weight, weight)
-    for places in (np.array([w.row for w in windows]), np.array([w.column for w in windows])):
-        share = share * far[np.clip(places[:, np.newaxis] - places, -size, size) + size] ** 2
-    return float(weight.sum() ** 2 / share.sum())
-
-
-def _plane_fit(taper: FloatArray, ramp: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """A plane's three terms, float64 (3, N * N), and what gives their coefficients under a taper, of the same shape."""
-    size = taper.shape[0]
-    rows, columns = np.broadcast_to(ramp[:, np.newaxis], (size, size)), np.broadcast_to(ramp, (size, size))
-    terms = np.stack([np.ones(size * size), rows.ravel(), columns.ravel()])
-    weighted = terms * taper.ravel()
-    return terms, np.linalg.inv(weighted @ terms.T + 1e-9 * np.eye(3)) @ weighted
-
-
-def _flattened(patch: FloatArray, fit: tuple[FloatArray, FloatArray]) -> FloatArray:
-    """Subtract the plane that fits best under the taper: shading is no texture."""
-    terms, inverse = fit
-    return np.asarray(patch - ((inverse @ patch.ravel()) @ terms).reshape(patch.shape), np.float64)

@@ -13,9 +13,9 @@ from calibration.pupil import fit_pupil
 from tests.unit.depth_evidence.synthetic import as_image, leaves, make_bank, photograph
 from workbench.depth.evidence import EvidenceOptions, estimate_evidence
 from workbench.depth.evidence_colour import informative_mixture
+from workbench.depth.evidence_expected import mixed_power
 from workbench.depth.evidence_learn import learn
 from workbench.depth.evidence_model import LEARNED, Learned
-from workbench.depth.evidence_spectrum import mixed_power
 from workbench.depth.regions import whole
 
 SIDE = 128 + 40
