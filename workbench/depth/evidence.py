@@ -265,7 +265,8 @@ def _conclude(seen: Observation, model: DepthModel, learned: Learned, options: E
         "mode_radius_px": model.row_radius_px[modes],
         "mode_sparseness_far_near": np.stack([far, near]),
     }
-    estimate = summarise(sigma, log_post, seen.covered, seen.line_share, model, learned, options, diagnostics)
+    finest = (seen.photosites or seen.view).finer
+    estimate = summarise(sigma, log_post, seen.covered, seen.line_share, finest, model, learned, options, diagnostics)
     if seen.varied > options.varied_log_likelihood or seen.parted > options.parts_log_likelihood:
         return doubted(estimate, "its blur is not the same all over: a slanted surface, or several depths")
     estimate = unless_another_blur_fits(estimate, likelihood, modes, (far, near), model, options)

@@ -11,7 +11,7 @@ from scipy.interpolate import CubicSpline
 from scipy.special import expit
 
 from workbench.depth.estimate import DepthEstimate, Status
-from workbench.depth.evidence_model import DepthModel, EvidenceOptions, Learned
+from workbench.depth.evidence_model import NATIVE_FINER, DepthModel, EvidenceOptions, Learned
 from workbench.depth.evidence_side import Comparison
 
 FloatArray = NDArray[np.float64]
@@ -19,9 +19,10 @@ Mask = NDArray[np.bool_]
 
 _FINER = 8
 """The posterior's grid is finer than the likelihood's by this factor."""
-_SOFTNESS_PX, _SOFTNESS_RANGE_PX = 0.25, 4.0
+_SOFTNESS_PX, _SOFTNESS_RANGE_PX = 0.25, {1: 3.0, NATIVE_FINER: 2.0}
 """Close to focus a small blur and a texture that is itself a little soft or crisp look alike: standard error of the
-radius at focus, and the radius over which it falls to 1/e. Measured on generated textures."""
+radius at focus, and the one over which it falls to 1/e (as a Gaussian), by how fine the pixels are. Measured on
+textures rendered by the simulated rig and by a ray tracer."""
 _LINES_PX, _LINES_FROM = 0.45, 0.25
 """A pattern's few spectral lines have heights of their own, which pass for blur: standard error of the radius per share
 of the texture's power that they hold beyond so much."""
@@ -113,6 +114,7 @@ def summarise(
     log_post: FloatArray,
     pixels: int,
     line_share: float,
+    finer: int,
     model: DepthModel,
     learned: Learned,
     options: EvidenceOptions,
@@ -120,13 +122,14 @@ def summarise(
 ) -> DepthEstimate:
     """Depth, interval, mirror and status from a log posterior over signed radii (float64 (G,), even steps).
 
-    ``line_share`` is the part of the texture's power in its strongest few frequencies.
+    ``line_share`` is the part of the texture's power in its strongest few frequencies, ``finer`` how many of the finest
+    pixels that were looked at a superpixel is wide.
     """
     step = float(sigma[1] - sigma[0])
     density = np.exp(log_post - log_post.max())
     density /= density.sum()
     best = int(density.argmax())
-    soft = _SOFTNESS_PX * float(np.exp(-abs(sigma[best]) / _SOFTNESS_RANGE_PX))
+    soft = _SOFTNESS_PX * float(np.exp(-((sigma[best] / _SOFTNESS_RANGE_PX[finer]) ** 2)))
     lens = float(np.interp(sigma[best], model.sigma_px, model.sigma_se_px))
     lines = _LINES_PX * max(0.0, line_share - _LINES_FROM)
     se = float(np.sqrt(learned.floor_px**2 + soft**2 + lens**2 + lines**2))
