@@ -40,6 +40,7 @@ from workbench.depth.evidence_view import (
     compare_sides,
     joined_likelihood,
     refine,
+    view_of,
     view_photosites,
 )
 from workbench.depth.evidence_windows import covered_pixels, place_windows, soft_mask, thinned
@@ -66,9 +67,9 @@ _ENOUGH = 0.7
 """Full windows' worth of region below which smaller windows are tried."""
 _LOW_CYCLES = 6.0
 _LEAST_LOW_SHARE, _MOST_LINE_SHARE = 0.25, 0.9
-_LOW_SHARE_WITH_LINES, _LINES = 0.85, 0.5
-"""A strict pattern by either share alone, or by both together: few lines hold half of the power, and between them low
-frequencies are empty."""
+_LOW_SHARE_WITH_LINES, _LINES = 0.85, 0.48
+"""A strict pattern by either share alone, or by both together: few lines hold nearly half of the power, and between
+them low frequencies are empty."""
 
 
 def estimate_evidence(
@@ -265,8 +266,8 @@ def _conclude(seen: Observation, model: DepthModel, learned: Learned, options: E
         "mode_radius_px": model.row_radius_px[modes],
         "mode_sparseness_far_near": np.stack([far, near]),
     }
-    finest = (seen.photosites or seen.view).finer
-    estimate = summarise(sigma, log_post, seen.covered, seen.line_share, finest, model, learned, options, diagnostics)
+    finer = view_of(*views, int(likelihood.argmax())).finer
+    estimate = summarise(sigma, log_post, seen.covered, seen.line_share, finer, model, learned, options, diagnostics)
     if seen.varied > options.varied_log_likelihood or seen.parted > options.parts_log_likelihood:
         return doubted(estimate, "its blur is not the same all over: a slanted surface, or several depths")
     estimate = unless_another_blur_fits(estimate, likelihood, modes, (far, near), model, options)

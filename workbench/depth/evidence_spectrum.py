@@ -28,11 +28,9 @@ _SLOPE, _SLOPE_SD = -2.4, 0.8
 _BEND_SD = 0.8
 """Expected change of that slope from knot to knot, times the knots' distance."""
 _DIRECTION_SD = 0.8
-_RIDGE_SD, _NO_RIDGE_SD = 2.0, 0.01
+_RIDGE_SD = 2.0
 """How steeply a ridge of power along the texture's axis, or across it, may fall off. Wood grain, planks and shelves
 hold nearly all of their power within a few frequencies of a line through the origin."""
-_COHERENT = 0.5
-"""Coherence of the gradients' directions from which on there are ridges; charts, photographs and brick have less."""
 _ABOVE_NOISE = 1.5
 """Log power over the noise from which on a frequency tells of the texture by itself."""
 _FEW_AVERAGES = 3.5
@@ -153,17 +151,13 @@ def basis(modulus: FloatArray, direction: FloatArray, axis: float, band: Band = 
     return np.concatenate([hats, np.stack(turns + soft + ridges, axis=1)], axis=1)
 
 
-def _axis(power: FloatArray, modulus: FloatArray, direction: FloatArray) -> tuple[float, float]:
-    """Direction (rad) of most of the gradients' power, and how far it prevails (0 to 1: the tensor's coherence).
-
-    The structure tensor of Bigun and Granlund (1987), taken in the frequency plane.
-    """
+def _axis(power: FloatArray, modulus: FloatArray, direction: FloatArray) -> float:
+    """Direction (rad) of most of the gradients' power: the structure tensor's (Bigun and Granlund 1987)."""
     weight = np.maximum(power - np.percentile(power, 25), 0.0) * modulus**2
-    turn = complex((weight * np.exp(2j * direction)).sum())
-    return 0.5 * float(np.angle(turn)), abs(turn) / max(float(weight.sum()), 1e-30)
+    return 0.5 * float(np.angle((weight * np.exp(2j * direction)).sum()))
 
 
-def _prior(width: int, log_knots: FloatArray, ridge_sd: float) -> tuple[FloatArray, FloatArray]:
+def _prior(width: int, log_knots: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Precision and precision times mean of the Gaussian prior on the basis's coefficients."""
     knots = log_knots.size
     rows, values = [], []
@@ -178,7 +172,7 @@ def _prior(width: int, log_knots: FloatArray, ridge_sd: float) -> tuple[FloatArr
         values.append(0.0)
     for j in range(knots, width):
         turn = np.zeros(width)
-        turn[j] = 1.0 / (_DIRECTION_SD if j < width - 2 else ridge_sd)
+        turn[j] = 1.0 / (_DIRECTION_SD if j < width - 2 else _RIDGE_SD)
         rows.append(turn)
         values.append(0.0)
     design, target = np.array(rows), np.array(values)
@@ -221,13 +215,12 @@ def fit_spectra(
     factor = factor or TextureFactor()
     size = power.shape[0]
     modulus, direction, used = frequencies(size, band)
-    axis, coherence = _axis(power[used], modulus[used], direction[used])
+    axis = _axis(power[used], modulus[used], direction[used])
     terms = basis(modulus[used], direction[used], axis, band)
     log_power = np.log(np.maximum(power[used], 1e-16)).astype(np.float32)
     log_expected = np.log(np.maximum(expected[:, used], 1e-9)).astype(np.float32)
     tables = likelihood_tables(averages, factor)
-    # ridges where one direction prevails only: elsewhere they lead the few scoring steps astray
-    precision, pull = _prior(terms.shape[1], band.log_knots, _RIDGE_SD if coherence > _COHERENT else _NO_RIDGE_SD)
+    precision, pull = _prior(terms.shape[1], band.log_knots)
     # the lowest tenth is noise, or less than texture: single periodograms scatter far below their mean
     tenth = max(float(np.percentile(power[used], 10)), 1e-16)
     noise = float(np.log(tenth / (0.3 if averages < _FEW_AVERAGES else 1.0)))

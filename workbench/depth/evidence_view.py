@@ -139,6 +139,11 @@ def joined_likelihood(superpixels: View, photosites: View | None) -> FloatArray:
     return joined
 
 
+def view_of(superpixels: View, photosites: View | None, row: int) -> View:
+    """Photosites for the rows that they were fitted for, superpixels for the others."""
+    return photosites if photosites is not None and row < photosites.fit.log_likelihood.size else superpixels
+
+
 def _offset(superpixels: View, photosites: View) -> float:
     rows = photosites.fit.log_likelihood.size
     shared = slice(rows - _ANCHOR_ROWS, rows)
@@ -153,9 +158,8 @@ def refine(
     A large, rich region tells radii apart that differ by far less than the rows do, and few steps from row to row
     follow such a narrow ridge too slowly.
     """
-    view, offset = superpixels, 0.0
-    if photosites is not None and row < photosites.fit.log_likelihood.size:
-        view, offset = photosites, _offset(superpixels, photosites)
+    view = view_of(superpixels, photosites, row)
+    offset = 0.0 if view is superpixels else _offset(superpixels, view)
     reach = _REFINED_STEPS * options.radius_step_px
     offsets = np.linspace(-reach, reach, 2 * _REFINED_STEPS * _REFINED_FINER * view.finer + 1)
     radius = model.row_radius_px[row] + offsets
@@ -179,9 +183,8 @@ def compare_sides(
     How sparse they are by themselves is read from superpixels at every row, so that rows can be compared; how much one
     side is favoured, from photosites next to focus. A single row has none to be compared with.
     """
-    near = {} if photosites is None else {
-        row: _compare(photosites, row, model, options) for row in rows if row < photosites.fit.log_likelihood.size
-    }  # fmt: skip
+    views = {row: view_of(superpixels, photosites, row) for row in rows}
+    near = {row: _compare(view, row, model, options) for row, view in views.items() if view is not superpixels}
     if len(rows) == len(near) == 1:
         return list(near.values())
     clues = {row: _compare(superpixels, row, model, options) for row in rows}
