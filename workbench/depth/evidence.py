@@ -1,6 +1,7 @@
 """Depth by evidence: the posterior over signed blur radius from a region's spectrum and its sparseness.
 
-1. The region is covered with tapered windows; their periodograms are pooled (:mod:`~workbench.depth.evidence_windows`).
+1. The region is covered with tapered windows (:mod:`~workbench.depth.evidence_windows`); their periodograms are pooled
+   (:mod:`~workbench.depth.evidence_periodogram`).
 2. For every |radius| on a fine grid, texture and noise are fitted and the likelihood of the spectrum is taken
    (:mod:`~workbench.depth.evidence_spectrum`). It can't tell the side of focus.
    Next to focus the photosites themselves refine it (:mod:`~workbench.depth.evidence_view`).
@@ -101,9 +102,8 @@ def estimate_evidence(
         mask = labels == label
         mixture = informative_mixture(image, mask & ~image.saturated, options.colour_gain)
         plane = luminance if mixture is None else np.asarray(image.planes @ mixture.astype(np.float32))
-        # a colour by itself is sampled too coarsely for its photosites to be looked at
-        whole = image if mixture is None and image.mosaic is not None else None
-        found[int(label)] = measure_region(plane, image.saturated, mask, model, learned, options, whole)
+        photosites = image if mixture is None else None  # a colour by itself is sampled too coarsely
+        found[int(label)] = measure_region(plane, image.saturated, mask, model, learned, options, photosites)
     return found
 
 
@@ -155,7 +155,7 @@ def observe(
     expected = smeared_power(model.kernel_lags, pooled.taper_lags, size)
     fit = fit_spectra(pooled.power, pooled.trusted, expected, factor=options.factor)
     view, photosites = View(plane, soft, clear, chosen, pooled, fit), None
-    if with_photosites is not None and _next_to_focus(fit.log_likelihood, model):
+    if with_photosites is not None and with_photosites.mosaic is not None and _next_to_focus(fit.log_likelihood, model):
         photosites = view_photosites(with_photosites, mask, view, model, options)
     has_finer = size // 2 >= options.smallest_window_px
     finer = place_windows(mask, soft, size // 2, least_weight=options.least_weight) if has_finer else []
@@ -266,7 +266,8 @@ def _conclude(seen: Observation, model: DepthModel, learned: Learned, options: E
         "mode_radius_px": model.row_radius_px[modes],
         "mode_sparseness_far_near": np.stack([far, near]),
     }
-    finer = view_of(*views, int(likelihood.argmax())).finer
+    row = int(np.abs(np.abs(model.row_radius_px) - abs(sigma[log_post.argmax()])).argmin())
+    finer = view_of(*views, row).finer
     estimate = summarise(sigma, log_post, seen.covered, seen.line_share, finer, model, learned, options, diagnostics)
     if seen.varied > options.varied_log_likelihood or seen.parted > options.parts_log_likelihood:
         return doubted(estimate, "its blur is not the same all over: a slanted surface, or several depths")

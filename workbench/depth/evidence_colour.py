@@ -96,6 +96,8 @@ def chroma_over_luminance(planes: Plane, mask: Mask) -> float:
         rows, columns = (slice(0, n) for n in mask.shape)
     inside, part = mask[rows, columns], planes[rows, columns]
     thin = max(1, int(np.sqrt(inside.size / _MANY_PIXELS)))
+    if inside[::thin, ::thin].sum() < _ENOUGH_PIXELS:
+        thin = 1
     counted = inside[::thin, ::thin]
     mean = np.maximum(part[::thin, ::thin][counted].mean(axis=0, dtype=np.float64), 1e-6)
     signals = np.asarray(part @ (_LUMINANCE_AND_CHROMA / mean[:, np.newaxis]).astype(np.float32))

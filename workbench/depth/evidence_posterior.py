@@ -122,8 +122,8 @@ def summarise(
 ) -> DepthEstimate:
     """Depth, interval, mirror and status from a log posterior over signed radii (float64 (G,), even steps).
 
-    ``line_share`` is the part of the texture's power in its strongest few frequencies, ``finer`` how many of the
-    pixels that the best blur was read from a superpixel is wide.
+    ``line_share`` is the part of the texture's power in its strongest few frequencies, ``finer`` the pixels
+    a superpixel is wide, in the view that the best blur was read from.
     """
     step = float(sigma[1] - sigma[0])
     density = np.exp(log_post - log_post.max())

@@ -27,9 +27,13 @@ _WORSE, _MOST_HALVINGS = 0.1, 6
 _UNSETTLED, _MOST_STEPS = 10.0, 20
 """Where the last step gained more than so much log-likelihood, two more are taken, up to so many in all."""
 _FARTHER = 2.0
-"""Every second step but the last goes so many times as far: textures scatter more than the expected information
-foresees, plain steps are too short for them, and steps of two lengths settle faster than steps of either (Young
-1953)."""
+"""Long and plain steps take turns, the last one plain; a long one goes so many times as far. Textures scatter more than
+the expected information foresees, plain steps are too short for them, and steps of two lengths settle faster than
+steps of either (Young 1953)."""
+_MOST_CHANGE = 2.0
+"""No step changes a coefficient by more than this."""
+_FAINTEST = 6.0
+"""Log noise isn't sought farther below what was expected: beyond the tables' end everything would fit."""
 _AT_ONCE = 512
 """Frequencies, as many as the processor's fastest cache holds."""
 
@@ -149,7 +153,7 @@ def scan_blurs(
     theta, log_noise = start.copy(), start_noise
     gradient, hessian, towards = np.zeros(p + 1), np.zeros((p + 1, p + 1)), np.zeros(p)
     flat = table.ravel(), by_signal.ravel(), by_noise.ravel()
-    work = np.zeros((7, _AT_ONCE), np.float32)
+    work = np.zeros((6, _AT_ONCE), np.float32)
     kept, kept_noise = theta.copy(), log_noise
     for d in range(blurs):
         taken, wanted, halved, best = 0, steps, 0, -np.inf
@@ -190,9 +194,11 @@ def scan_blurs(
             for j in range(p + 1):
                 hessian[j, j] = 1.02 * hessian[j, j] + 1e-3
             _solve(hessian, gradient)
-            stride = min(1.0 if (wanted - taken) % 2 else _FARTHER, 2.0 / max(float(np.abs(gradient).max()), 1e-9))
+            stride = min(
+                1.0 if (wanted - taken) % 2 else _FARTHER, _MOST_CHANGE / max(float(np.abs(gradient).max()), 1e-9)
+            )
             theta += stride * gradient[:p]
-            log_noise += stride * float(gradient[p])
+            log_noise = max(log_noise + stride * float(gradient[p]), prior_noise - _FAINTEST)
             taken, halved = taken + 1, 0
         likelihood[d], noises[d] = total, log_noise
         coefficients[d] = theta
@@ -230,8 +236,9 @@ def _terms(
     for first in range(0, count, _AT_ONCE):
         beyond = min(first + _AT_ONCE, count)
         many = beyond - first
-        x, slope, slope_noise, ss, sn = work[0, :many], work[1, :many], work[2, :many], work[3, :many], work[4, :many]
-        y, weighted = work[5, :many], work[6, :many]
+        x, y, slope, ss, sn, weighted = (
+            work[0, :many], work[1, :many], work[2, :many], work[3, :many], work[4, :many], work[5, :many]
+        )  # fmt: skip
         x[:] = log_expected[first:beyond]
         for j in range(p):
             factor, column = np.float32(theta[j]), columns[j, first:beyond]
@@ -239,8 +246,11 @@ def _terms(
                 x[f] += factor * column[f]
         power = log_power[first:beyond]
         for f in range(many):
-            y[f] = min(max((power[f] - lowest) * finer, nought), last)
-            x[f] = min(max((x[f] - lowest) * finer, nought), last)
+            above, beside = (power[f] - lowest) * finer, (x[f] - lowest) * finer
+            # by comparisons, which let NaN fall to 0: min and max would pass it on, as an index out of bounds
+            above, beside = above if above > nought else nought, beside if beside > nought else nought
+            y[f] = above if above < last else last
+            x[f] = beside if beside < last else last
             y0, x0 = np.int32(y[f]), np.int32(x[f])
             up, right = y[f] - np.float32(y0), x[f] - np.float32(x0)
             cell, both = y0 * cells + x0, up * right
@@ -254,8 +264,7 @@ def _terms(
         for f in range(many):  # the nearest entry will do: only the way to the maximum depends on it
             x0 = np.int32(x[f] + half)
             cell = np.int32(y[f] + half) * cells + x0
-            slope[f], slope_noise[f] = by_signal[cell], by_noise[cell]
-            ss[f], sn[f] = info_ss[x0], info_sn[x0]
+            slope[f], ss[f], sn[f] = by_signal[cell], info_ss[x0], info_sn[x0]
             noise_information += info_nn[x0]
             gradient[p] += by_noise[cell]
         hessian[p, p] += noise_information

@@ -81,10 +81,10 @@ class _Moments:
 
 
 def compare(
-    plane: NDArray[np.float32],
-    soft: NDArray[np.float32],
+    plane: Plane,
+    soft: Plane,
     windows: Sequence[Window],
-    psfs: Sequence[NDArray[np.float32]],
+    psfs: Sequence[Plane],
     texture: TextureSpectrum,
 ) -> Comparison:
     """Compare the restorations of a region.
@@ -109,10 +109,10 @@ def compare(
 
 
 def favour_by_window(
-    plane: NDArray[np.float32],
-    soft: NDArray[np.float32],
+    plane: Plane,
+    soft: Plane,
     windows: Sequence[Window],
-    psfs: Sequence[NDArray[np.float32]],
+    psfs: Sequence[Plane],
     texture: TextureSpectrum,
 ) -> FloatArray:
     """:attr:`Comparison.favour` of each window by itself, float64 (len(windows), len(STATISTICS))."""
@@ -154,10 +154,10 @@ def _favour(moments: _Moments, windows: Sequence[Window]) -> FloatArray:
 
 
 def _moments(
-    plane: NDArray[np.float32],
-    soft: NDArray[np.float32],
+    plane: Plane,
+    soft: Plane,
     windows: Sequence[Window],
-    psfs: Sequence[NDArray[np.float32]],
+    psfs: Sequence[Plane],
     texture: TextureSpectrum,
 ) -> _Moments:
     inner = windows[0].taper.shape[0]
@@ -178,7 +178,7 @@ def _moments(
             for k, filt in enumerate(filters):
                 response = fft.irfft2(spectra * filt, s=(size, size))[:, _CONTEXT:-_CONTEXT, _CONTEXT:-_CONTEXT]
                 square = response * response
-                root = (square + np.float32(1e-30)) ** np.float32(_SPARSE / 2)
+                root = (square + np.float32(_TINY)) ** np.float32(_SPARSE / 2)
                 _add_moments(root, square, weights, found[:, i, j, k])
     return _Moments(found[0], found[1], found[2], weights.sum(axis=(1, 2), dtype=np.float64))
 
@@ -203,7 +203,7 @@ def _add_moments(root: Plane, square: Plane, weights: Plane, sums: FloatArray) -
                 sums[2, w, row // tile, b] += peaked
 
 
-def _filters(psf: NDArray[np.float32], ratio: NDArray[np.float32]) -> Iterator[list[Complex]]:
+def _filters(psf: Plane, ratio: Plane) -> Iterator[list[Complex]]:
     """Family by family, the filters in four directions that restore what a PSF blurred.
 
     ``ratio`` is the power of texture over noise, float32 (N, N // 2 + 1).
@@ -235,14 +235,14 @@ def _shapes(size: int) -> tuple[list[Complex], ...]:
     return tuple([(1j * shape).astype(np.complex64) for shape in family] for family in families)
 
 
-def _texture_over_noise(texture: TextureSpectrum, size: int) -> NDArray[np.float32]:
+def _texture_over_noise(texture: TextureSpectrum, size: int) -> Plane:
     """float32 (N, N // 2 + 1); clipped so that extrapolation to the lowest frequencies stays finite."""
     modulus, direction, _ = frequencies(size)
     level = texture.log_power(np.maximum(modulus, 1.0 / size).ravel(), direction.ravel())
     return np.exp(np.clip(level.reshape(modulus.shape) - texture.log_noise, -30.0, 30.0)).astype(np.float32)
 
 
-def _transfer(psf: NDArray[np.float32], size: int) -> NDArray[np.complex128]:
+def _transfer(psf: Plane, size: int) -> NDArray[np.complex128]:
     half = psf.shape[0] // 2
     folded = np.zeros((size, size))
     index = np.arange(-half, half + 1) % size

@@ -6,7 +6,7 @@ squared transfer function smeared by the taper, ``n`` white noise, and ``S g`` t
 factor is what keeps periodic, sparse and text-like textures from breaking the model: it is log-normal with a wide
 second component and is integrated out, so that a spectral line, or a gap between lines, counts as a surprise of
 bounded size, and what decides is where the blur's zeros leave nothing but noise. ``S`` and ``n`` are fitted anew for
-every blur by Fisher scoring, from the fit of the blur before: mostly two steps, one pass over the spectrum each.
+every blur by Fisher scoring from the fit of the blur before, mostly two steps (:mod:`~workbench.depth.evidence_scan`).
 """
 
 from __future__ import annotations
@@ -34,6 +34,7 @@ hold nearly all of their power within a few frequencies of a line through the or
 _ABOVE_NOISE = 1.5
 """Log power over the noise from which on a frequency tells of the texture by itself."""
 _FEW_AVERAGES = 3.5
+"""Below it the lowest tenth of a periodogram lies far under its mean."""
 FIRST_CYCLE = 2.0
 """Frequencies with fewer cycles per window are left out: shading and the taper's main lobe."""
 
@@ -221,7 +222,7 @@ def fit_spectra(
     log_expected = np.log(np.maximum(expected[:, used], 1e-9)).astype(np.float32)
     tables = likelihood_tables(averages, factor)
     precision, pull = _prior(terms.shape[1], band.log_knots)
-    # the lowest tenth is noise, or less than texture: single periodograms scatter far below their mean
+    # the lowest tenth is noise, or less than texture
     tenth = max(float(np.percentile(power[used], 10)), 1e-16)
     noise = float(np.log(tenth / (0.3 if averages < _FEW_AVERAGES else 1.0)))
     arguments = (np.ascontiguousarray(terms.T, np.float32), precision, pull)

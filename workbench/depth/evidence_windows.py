@@ -19,7 +19,7 @@ _FULL = 0.97
 
 @dataclass(frozen=True, slots=True)
 class Window:
-    """One square of the image: its top left corner (row, column; may lie outside) and its taper (N, N)."""
+    """One square of the image: its top left corner (row, column; may lie outside) and its taper, float32 (N, N)."""
 
     row: int
     column: int

@@ -42,6 +42,27 @@ def test_two_steps_from_either_end_and_twelve_find_the_same_likelihood(contrast:
 def test_more_steps_never_lose() -> None:
     expected = blurs(40)
     modulus, _, _ = frequencies(SIZE)
-    power = periodogram(0.1 * np.maximum(modulus, 1 / SIZE) ** -3.0 * expected[10] + 1e-6, 30.0, 2)
+    power = periodogram(1e-4 * np.maximum(modulus, 1 / SIZE) ** -3.0 * expected[10] + 1e-6, 30.0, 2)
     few, many = (fit_spectra(power, 30.0, expected, steps=steps).log_likelihood for steps in (2, 20))
-    assert (many > few - 1.0).all()
+    close = many > many.max() - 70.0
+    assert (many > few - 1.0)[close].all()
+    assert int(few.argmax()) == int(many.argmax()) == 10
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_texture_far_beyond_the_noise_is_not_taken_for_noise_below_everything(seed: int) -> None:
+    """Clean renderings: power over noise beyond what the likelihood is tabulated for."""
+    expected = blurs(40)
+    modulus, _, _ = frequencies(SIZE)
+    texture = np.maximum(modulus, 1 / SIZE) ** -3.0
+    power = periodogram(texture / texture.max() * np.exp(22.0) * 1e-6 * expected[10] + 1e-6, 30.0, seed)
+    assert int(fit_spectra(power, 30.0, expected).log_likelihood.argmax()) == 10
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_what_is_no_number_ends_as_no_answer_and_not_as_a_crash(bad: float) -> None:
+    expected = blurs(5)
+    power = periodogram(np.full((SIZE, SIZE // 2 + 1), 1e-6), 10.0, 4)
+    power[9, 9] = bad
+    with np.errstate(invalid="ignore"):
+        assert not np.isfinite(fit_spectra(power, 10.0, expected).log_likelihood.max())
