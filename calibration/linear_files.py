@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 from calibration.errors import FrameError
 
 LINEAR_SUFFIXES = (".tif", ".tiff", ".npy")
+_LARGEST = 1e12
+"""Times white: no image holds so much, and sums of its squares would overflow."""
 
 
 def is_linear_file(path: Path) -> bool:
@@ -33,7 +35,7 @@ def read_linear(path: Path, *, white: float | None = None) -> NDArray[np.float32
     Raises
     ------
     FrameError
-        Unreadable, of another shape or type, or with values that are not finite.
+        Unreadable, of another shape or type, or with values that are not finite, or larger than any image has.
     """
     array = _load(path)
     if array.dtype.kind not in "uif":
@@ -44,6 +46,8 @@ def read_linear(path: Path, *, white: float | None = None) -> NDArray[np.float32
     planes = np.asarray(array, dtype=np.float32) / np.float32(white)
     if not np.isfinite(planes).all():
         raise FrameError(f"{path}: contains NaN or infinite pixels; save a complete image")
+    if (largest := float(np.abs(planes).max())) > _LARGEST:
+        raise FrameError(f"{path}: holds {largest:.0e} times white, as marks of missing pixels do; fill them in")
     return np.ascontiguousarray(planes)
 
 

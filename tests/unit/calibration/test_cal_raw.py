@@ -151,3 +151,12 @@ def test_dark_by_another_recipe_is_refused(tmp_path: Path) -> None:
     dark: LinearImage = develop(path, recipe="native")
     with pytest.raises(FrameError, match="same recipe"):
         develop(path, dark=dark)
+
+
+@pytest.mark.parametrize(("bad", "said"), [(np.nan, "NaN or infinite"), (-3.4e38, "marks of missing pixels")])
+def test_linear_image_with_pixels_that_are_none_is_refused(tmp_path: Path, bad: float, said: str) -> None:
+    pixels = np.full((32, 32), 0.2, np.float32)
+    pixels[3, 4] = bad
+    np.save(tmp_path / "a.npy", pixels)
+    with pytest.raises(FrameError, match=said):
+        develop(tmp_path / "a.npy")
