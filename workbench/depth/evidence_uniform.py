@@ -45,6 +45,8 @@ def mixture_gain(
         Radii of the blurs; how far they mix.
     """
     mixtures = mixed_power(expected, model.row_radius_px, options.varied_px)
+    if not len(mixtures):  # the bank holds no such range of radii
+        return 0.0
     fit = fit_spectra(pooled.power, pooled.trusted, mixtures, factor=options.factor)
     return float(fit.log_likelihood.max()) - best
 

@@ -166,6 +166,13 @@ def test_mixture_of_neighbouring_blurs_is_their_mean() -> None:
     np.testing.assert_allclose(mixed[:, 0, 0], [1.3, 3.5, 6.5, 9.5], atol=0.11)
 
 
+def test_radii_that_no_range_of_mixture_fits_into_are_measured_all_the_same(bank: Bank) -> None:
+    image = photograph(leaves(SIDE, 9), 2000.0)
+    found = estimate_evidence(image, bank, whole(image.shape), EvidenceOptions(varied_px=60.0))[1]
+    assert found.status == "ok"
+    assert abs(found.depth_mm - 2000.0) < 50.0
+
+
 def test_learning_is_reproducible_and_round_trips(bank: Bank) -> None:
     first, second = learn(bank, seed=3, samples=4), learn(bank, seed=3, samples=4)
     np.testing.assert_array_equal(first[LEARNED], second[LEARNED])
