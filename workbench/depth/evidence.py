@@ -13,6 +13,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,7 +23,7 @@ from calibration.bank import Bank
 from calibration.image import LinearImage
 from workbench.depth.estimate import DepthEstimate, Status
 from workbench.depth.evidence_colour import informative_mixture
-from workbench.depth.evidence_doubt import doubted, unless_another_blur_fits, unless_beyond_reach
+from workbench.depth.evidence_doubt import uneven, unless_another_blur_fits, unless_beyond_reach
 from workbench.depth.evidence_expected import smeared_power
 from workbench.depth.evidence_model import DepthModel, EvidenceOptions, Learned, learned_of, prepare
 from workbench.depth.evidence_periodogram import pooled_periodogram
@@ -35,7 +36,7 @@ from workbench.depth.evidence_posterior import (
     summarise,
 )
 from workbench.depth.evidence_spectrum import SpectralFit, fit_spectra, frequencies
-from workbench.depth.evidence_uniform import mixture_gain, parts_loss
+from workbench.depth.evidence_uniform import mixture_gain, parts_loss, quarters_of
 from workbench.depth.evidence_view import (
     View,
     compare_sides,
@@ -124,9 +125,9 @@ class Observation:
     line_share: float
     """Part of the texture's power, relative to its smooth spectrum, in the strongest hundredth of the frequencies."""
     varied: float
-    """Log-likelihood that a mixture of neighbouring blurs gains over the best single one."""
+    """Log-likelihood that a mixture of neighbouring blurs gains over the best single one; 0 where nobody asks."""
     parted: float
-    """Log-likelihood that its parts lose by sharing one blur."""
+    """Log-likelihood that its parts lose by sharing one blur; 0 where nobody asks."""
 
 
 def observe(
@@ -135,10 +136,13 @@ def observe(
     model: DepthModel,
     options: EvidenceOptions,
     with_photosites: LinearImage | None = None,
+    *,
+    as_one: bool = False,
 ) -> Observation | None:
     """Pool the region's windows and fit every blur; None where no window fits.
 
-    Photosites are looked at next to focus, where an image is given that has them.
+    Photosites are looked at next to focus, where an image is given that has them. With ``as_one`` nobody asks whether
+    the blur is the same all over.
     """
     margin = min(options.margin_px, options.margin * float(np.sqrt(mask.sum())))
     size = options.window_px
@@ -157,8 +161,12 @@ def observe(
     view, photosites = View(plane, soft, clear, chosen, pooled, fit), None
     if with_photosites is not None and with_photosites.mosaic is not None and _next_to_focus(fit.log_likelihood, model):
         photosites = view_photosites(with_photosites, mask, view, model, options)
-    has_finer = size // 2 >= options.smallest_window_px
-    finer = place_windows(mask, soft, size // 2, least_weight=options.least_weight) if has_finer else []
+    varied = parted = 0.0
+    if not as_one:
+        varied = mixture_gain(pooled, expected, float(fit.log_likelihood.max()), model, options)
+        if size // 2 >= options.smallest_window_px:
+            finer = place_windows(mask, soft, size // 2, least_weight=options.least_weight)
+            parted = parts_loss(plane, finer, model, options)
     pixels = sum(w.weight for w in windows) * size * size * 0.25  # half overlap both ways: each pixel counts fourfold
     return Observation(
         view,
@@ -168,8 +176,8 @@ def observe(
         covered_pixels(mask, windows),
         _low_share(pooled.power, fit),
         _line_share(pooled.power, expected, fit),
-        mixture_gain(pooled, expected, float(fit.log_likelihood.max()), model, options),
-        parts_loss(plane, finer, model, options),
+        varied,
+        parted,
     )
 
 
@@ -214,14 +222,16 @@ def measure_region(
     learned: Learned,
     options: EvidenceOptions,
     with_photosites: LinearImage | None = None,
+    *,
+    as_one: bool = False,
 ) -> DepthEstimate:
-    """Depth of one region; see :func:`estimate_evidence`."""
+    """Depth of one region; see :func:`estimate_evidence`. ``as_one`` takes its blur to be the same all over."""
     pixels = int(mask.sum())
     clipped = float((saturated & mask).sum()) / max(pixels, 1)
     if clipped > options.max_saturated:
         return _refused(model, "saturated", pixels, f"{clipped:.0%} of its pixels are saturated; expose less")
     usable = mask & ~saturated if clipped > 0.002 else mask
-    seen = observe(plane, usable, model, options, with_photosites)
+    seen = observe(plane, usable, model, options, with_photosites, as_one=as_one)
     if seen is None:
         return _refused(
             model, "no-texture", pixels, f"too small or too thin for a window of {options.smallest_window_px} px"
@@ -232,7 +242,13 @@ def measure_region(
     if _is_strict_pattern(seen):
         reason = "only isolated spatial frequencies stand above the noise (a strict pattern): any blur explains them"
         return _refused(model, "no-texture", pixels, reason)
-    return _conclude(seen, model, learned, options)
+    parts = []
+    if seen.varied > options.varied_log_likelihood or seen.parted > options.parts_log_likelihood:
+        parts = [
+            measure_region(plane, saturated, part, model, learned, options, with_photosites, as_one=True)
+            for part in quarters_of(usable)
+        ]
+    return _conclude(seen, parts, model, learned, options)
 
 
 def _is_strict_pattern(seen: Observation) -> bool:
@@ -246,7 +262,10 @@ def _refused(model: DepthModel, status: Status, pixels: int, reason: str) -> Dep
     return DepthEstimate(nan, (nan, nan), 0.0, nan, nan, status, model.depths_mm, flat, nan, pixels, reason)
 
 
-def _conclude(seen: Observation, model: DepthModel, learned: Learned, options: EvidenceOptions) -> DepthEstimate:
+def _conclude(
+    seen: Observation, parts: Sequence[DepthEstimate], model: DepthModel, learned: Learned, options: EvidenceOptions
+) -> DepthEstimate:
+    """From what was seen to an answer; ``parts`` where the blur is not the same all over."""
     likelihood, views = seen.likelihood, (seen.view, seen.photosites)
     modes = find_modes(likelihood, model.row_radius_px)
     clues = compare_sides(*views, modes, model, options)
@@ -269,7 +288,7 @@ def _conclude(seen: Observation, model: DepthModel, learned: Learned, options: E
     row = int(np.abs(np.abs(model.row_radius_px) - abs(sigma[log_post.argmax()])).argmin())
     finer = view_of(*views, row).finer
     estimate = summarise(sigma, log_post, seen.covered, seen.line_share, finer, model, learned, options, diagnostics)
-    if seen.varied > options.varied_log_likelihood or seen.parted > options.parts_log_likelihood:
-        return doubted(estimate, "its blur is not the same all over: a slanted surface, or several depths")
+    if parts:
+        return uneven(estimate, parts)
     estimate = unless_another_blur_fits(estimate, likelihood, modes, (far, near), model, options)
     return unless_beyond_reach(estimate, modes, side_odds(clues, learned), model)

@@ -28,6 +28,25 @@ def doubted(estimate: DepthEstimate, reason: str) -> DepthEstimate:
     return replace(estimate, status="ambiguous", confidence=0.5 * estimate.confidence, reason=reason)
 
 
+def uneven(estimate: DepthEstimate, parts: Sequence[DepthEstimate]) -> DepthEstimate:
+    """Call an estimate ambiguous because its region has no single depth; its interval then holds those of its parts.
+
+    Parameters
+    ----------
+    estimate
+        Of the whole region.
+    parts
+        Of pieces of it that make up the region. Those that say nothing are left out.
+    """
+    told = [part for part in parts if np.isfinite(part.depth_mm)]
+    low, high = zip(estimate.interval_mm, *(part.interval_mm for part in told), strict=True)
+    reason = "its blur is not the same all over: a slanted surface, or several depths"
+    if told:
+        depths = sorted(part.depth_mm / 10 for part in told)
+        reason += f" (its parts read {', '.join(f'{depth:.0f}' for depth in depths)} cm)"
+    return doubted(replace(estimate, interval_mm=(min(low), max(high))), reason)
+
+
 def unless_another_blur_fits(
     estimate: DepthEstimate,
     likelihood: FloatArray,

@@ -137,7 +137,7 @@ def _draw(bank: Bank, model: DepthModel, options: EvidenceOptions, generator: np
     span = (focus - reach, focus + reach) if generator.random() < 0.5 and reach > 0.05 * (high - low) else (low, high)
     depth_mm = float(1.0 / generator.uniform(*span))
     plane = _photograph(side, model.psfs.psf_at(depth_mm), generator)
-    seen = observe(plane, np.ones(plane.shape, np.bool_), model, options)
+    seen = observe(plane, np.ones(plane.shape, np.bool_), model, options, as_one=True)
     if seen is None or seen.likelihood.max() - seen.view.fit.null < options.least_evidence:
         return None
     likelihood, radius = seen.likelihood, np.abs(model.row_radius_px)

@@ -28,9 +28,9 @@ _SLOPE, _SLOPE_SD = -2.4, 0.8
 _BEND_SD = 0.8
 """Expected change of that slope from knot to knot, times the knots' distance."""
 _DIRECTION_SD = 0.8
-_RIDGE_SD = 2.0
-"""How steeply a ridge of power along the texture's axis, or across it, may fall off. Wood grain, planks and shelves
-hold nearly all of their power within a few frequencies of a line through the origin."""
+_RIDGE_SD, _NO_RIDGE_SD = 2.0, 0.01
+"""How steeply a ridge of power along the texture's axis, or across it, may fall off, where a texture may have one. Wood
+grain, planks and shelves hold nearly all of their power within a few frequencies of a line through the origin."""
 _ABOVE_NOISE = 1.5
 """Log power over the noise from which on a frequency tells of the texture by itself."""
 _FEW_AVERAGES = 3.5
@@ -54,12 +54,16 @@ class Band:
     roll_off
         Log S may fall, or rise, by ``(f / roll_off)^2`` times a coefficient of the order of 1: the texture's own
         softness. 0 for no such term.
+    ridges_from
+        Textures have ridges where one direction holds so much more of the gradients' power than the other, 0 to 1
+        (the structure tensor's coherence). 0 for all of them.
     """
 
     knots: tuple[float, ...] = (0.02, 0.045, 0.09, 0.18, 0.36)
     highest: float = 0.5
     ridge_width: float = 0.012
     roll_off: float = 0.0
+    ridges_from: float = 0.5
 
     @property
     def log_knots(self) -> FloatArray:
@@ -68,7 +72,7 @@ class Band:
 
 
 SUPERPIXELS = Band()
-PHOTOSITES = Band((0.01, 0.0225, 0.045, 0.09, 0.18, 0.36), 0.36, 0.006, 0.25)
+PHOTOSITES = Band((0.01, 0.0225, 0.045, 0.09, 0.18, 0.36), 0.36, 0.006, 0.25, ridges_from=0.0)
 """At half the pitch. The colour filters' carriers lie beyond it, and so does most of what the demosaicing kernel takes
 away. Few textures keep falling as a power of frequency up to there: prints and paint have a finest detail."""
 
@@ -152,13 +156,15 @@ def basis(modulus: FloatArray, direction: FloatArray, axis: float, band: Band = 
     return np.concatenate([hats, np.stack(turns + soft + ridges, axis=1)], axis=1)
 
 
-def _axis(power: FloatArray, modulus: FloatArray, direction: FloatArray) -> float:
-    """Direction (rad) of most of the gradients' power: the structure tensor's (Bigun and Granlund 1987)."""
+def _axis(power: FloatArray, modulus: FloatArray, direction: FloatArray) -> tuple[float, float]:
+    """Direction (rad) of most of the gradients' power, and its coherence: the structure tensor's (Bigun and Granlund
+    1987)."""
     weight = np.maximum(power - np.percentile(power, 25), 0.0) * modulus**2
-    return 0.5 * float(np.angle((weight * np.exp(2j * direction)).sum()))
+    turn = (weight * np.exp(2j * direction)).sum()
+    return 0.5 * float(np.angle(turn)), float(np.abs(turn) / max(float(weight.sum()), 1e-30))
 
 
-def _prior(width: int, log_knots: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _prior(width: int, log_knots: FloatArray, ridge_sd: float) -> tuple[FloatArray, FloatArray]:
     """Precision and precision times mean of the Gaussian prior on the basis's coefficients."""
     knots = log_knots.size
     rows, values = [], []
@@ -173,7 +179,7 @@ def _prior(width: int, log_knots: FloatArray) -> tuple[FloatArray, FloatArray]:
         values.append(0.0)
     for j in range(knots, width):
         turn = np.zeros(width)
-        turn[j] = 1.0 / (_DIRECTION_SD if j < width - 2 else _RIDGE_SD)
+        turn[j] = 1.0 / (_DIRECTION_SD if j < width - 2 else ridge_sd)
         rows.append(turn)
         values.append(0.0)
     design, target = np.array(rows), np.array(values)
@@ -216,12 +222,13 @@ def fit_spectra(
     factor = factor or TextureFactor()
     size = power.shape[0]
     modulus, direction, used = frequencies(size, band)
-    axis = _axis(power[used], modulus[used], direction[used])
+    axis, coherence = _axis(power[used], modulus[used], direction[used])
     terms = basis(modulus[used], direction[used], axis, band)
     log_power = np.log(np.maximum(power[used], 1e-16)).astype(np.float32)
     log_expected = np.log(np.maximum(expected[:, used], 1e-9)).astype(np.float32)
     tables = likelihood_tables(averages, factor)
-    precision, pull = _prior(terms.shape[1], band.log_knots)
+    ridge_sd = _RIDGE_SD if coherence >= band.ridges_from else _NO_RIDGE_SD
+    precision, pull = _prior(terms.shape[1], band.log_knots, ridge_sd)
     # the lowest tenth is noise, or less than texture
     tenth = max(float(np.percentile(power[used], 10)), 1e-16)
     noise = float(np.log(tenth / (0.3 if averages < _FEW_AVERAGES else 1.0)))

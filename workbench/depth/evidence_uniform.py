@@ -17,6 +17,8 @@ from workbench.depth.evidence_periodogram import Pooled, pooled_periodogram
 from workbench.depth.evidence_spectrum import fit_spectra
 from workbench.depth.evidence_windows import Window
 
+Mask = NDArray[np.bool_]
+
 _LEAST_WINDOWS, _MOST_WINDOWS = 9, 80
 """Three by three half-overlapping windows: fewer are no four parts. More than so many say nothing new."""
 _CHANCE = 1.0
@@ -85,6 +87,18 @@ def parts_loss(
     alike = np.abs(radius - shared) <= _SAME_PX + _SAME_SHARE * shared
     lost = np.maximum(each.max(axis=1) - each[:, alike].max(axis=1) - _CHANCE, 0.0)
     return float(np.where(radius[each.argmax(axis=1)] < _FOCUS_PX, _FOCUS_TRUST, 1.0) @ lost)
+
+
+def quarters_of(mask: Mask) -> list[Mask]:
+    """The region's upper and lower half, each cut into a left and a right one of as many pixels; bool (H, W) each."""
+    quarters = []
+    rows, columns = np.nonzero(mask)
+    for half in np.array_split(np.arange(rows.size), 2):  # in the order of the rows
+        for part in np.array_split(half[np.argsort(columns[half], kind="stable")], 2):
+            quarter = np.zeros_like(mask)
+            quarter[rows[part], columns[part]] = True
+            quarters.append(quarter)
+    return quarters
 
 
 def _quarters(windows: Sequence[Window]) -> list[list[Window]]:

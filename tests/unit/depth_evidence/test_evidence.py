@@ -16,6 +16,7 @@ from workbench.depth.evidence_colour import informative_mixture
 from workbench.depth.evidence_expected import mixed_power
 from workbench.depth.evidence_learn import learn
 from workbench.depth.evidence_model import LEARNED, Learned
+from workbench.depth.evidence_uniform import quarters_of
 from workbench.depth.regions import whole
 
 SIDE = 128 + 40
@@ -140,6 +141,21 @@ def test_region_of_two_depths_says_so(bank: Bank) -> None:
     found = estimate_evidence(image, bank, whole(image.shape))[1]
     assert found.status == "ambiguous"
     assert "not the same all over" in found.reason
+    assert "its parts read 125, 125, 211, 211 cm" in found.reason
+    low, high = found.interval_mm
+    assert low < 1250.0
+    assert high > 2100.0
+
+
+def test_quarters_of_a_region_are_disjoint_and_make_it_up() -> None:
+    rows, columns = np.mgrid[:60, :80]
+    ring = (np.hypot(rows - 30, columns - 37) < 28) & (np.hypot(rows - 30, columns - 37) > 11)
+    quarters = quarters_of(ring)
+    assert np.array_equal(np.sum(quarters, axis=0), ring)
+    sizes = [int(quarter.sum()) for quarter in quarters]
+    assert max(sizes) - min(sizes) <= 1
+    middles = [(np.nonzero(quarter)[0].mean() < 30, np.nonzero(quarter)[1].mean() < 37) for quarter in quarters]
+    assert middles == [(True, True), (True, False), (False, True), (False, False)]
 
 
 @pytest.mark.parametrize("seed", [18, 28, 38])
@@ -154,6 +170,8 @@ def test_sharp_object_does_not_speak_for_the_blurred_rest_of_its_region(bank: Ba
     found = estimate_evidence(image, bank, whole(image.shape))[1]
     assert found.status == "ambiguous"
     assert "not the same all over" in found.reason
+    assert found.interval_mm[0] < 1800.0
+    assert found.interval_mm[1] > 2900.0
     deaf = EvidenceOptions(parts_log_likelihood=1e9)
     assert "not the same all over" not in estimate_evidence(image, bank, whole(image.shape), deaf)[1].reason
 
