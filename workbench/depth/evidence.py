@@ -23,7 +23,12 @@ from calibration.bank import Bank
 from calibration.image import LinearImage
 from workbench.depth.estimate import DepthEstimate, Status
 from workbench.depth.evidence_colour import informative_mixture
-from workbench.depth.evidence_doubt import uneven, unless_another_blur_fits, unless_beyond_reach
+from workbench.depth.evidence_doubt import (
+    uneven,
+    unless_another_blur_fits,
+    unless_beyond_reach,
+    unless_on_either_side,
+)
 from workbench.depth.evidence_expected import smeared_power
 from workbench.depth.evidence_model import DepthModel, EvidenceOptions, Learned, learned_of, prepare
 from workbench.depth.evidence_periodogram import pooled_periodogram
@@ -291,4 +296,5 @@ def _conclude(
     if parts:
         return uneven(estimate, parts)
     estimate = unless_another_blur_fits(estimate, likelihood, modes, (far, near), model, options)
-    return unless_beyond_reach(estimate, modes, side_odds(clues, learned), model)
+    estimate = unless_beyond_reach(estimate, modes, side_odds(clues, learned), model)
+    return unless_on_either_side(estimate, model)

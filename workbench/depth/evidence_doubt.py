@@ -17,6 +17,7 @@ FloatArray = NDArray[np.float64]
 _SAME_PX, _APART_PX = 1.0, 2.0
 _OPEN_SIDE = 3.0
 """A side of focus stays open if sparseness speaks against it by less than so many nats."""
+_EITHER_SIDE_PX = 2.0
 _RIVAL_PX = 0.5
 """Standard errors or not, a rival blur is known to half a pixel."""
 _OUT_OF_REACH = 3.0
@@ -29,22 +30,35 @@ def doubted(estimate: DepthEstimate, reason: str) -> DepthEstimate:
 
 
 def uneven(estimate: DepthEstimate, parts: Sequence[DepthEstimate]) -> DepthEstimate:
-    """Call an estimate ambiguous because its region has no single depth; its interval then holds those of its parts.
+    """Call an estimate ambiguous because its region has no single depth.
 
     Parameters
     ----------
     estimate
-        Of the whole region.
+        Of the whole region: often that of its sharpest edge, which may be nobody's depth.
     parts
         Of pieces of it that make up the region. Those that say nothing are left out.
+
+    Returns
+    -------
+    DepthEstimate
+        The depth of the middle part, and an interval that holds those of all.
     """
-    told = [part for part in parts if np.isfinite(part.depth_mm)]
-    low, high = zip(estimate.interval_mm, *(part.interval_mm for part in told), strict=True)
+    told = sorted((part for part in parts if np.isfinite(part.depth_mm)), key=lambda part: part.depth_mm)
     reason = "its blur is not the same all over: a slanted surface, or several depths"
-    if told:
-        depths = sorted(part.depth_mm / 10 for part in told)
-        reason += f" (its parts read {', '.join(f'{depth:.0f}' for depth in depths)} cm)"
-    return doubted(replace(estimate, interval_mm=(min(low), max(high))), reason)
+    if not told:
+        return doubted(estimate, reason)
+    low, high = zip(estimate.interval_mm, *(part.interval_mm for part in told), strict=True)
+    middle = max(told[(len(told) - 1) // 2 : len(told) // 2 + 1], key=lambda part: part.confidence)
+    answer = replace(
+        estimate,
+        depth_mm=middle.depth_mm,
+        interval_mm=(min(low), max(high)),
+        confidence=min(estimate.confidence, middle.confidence),
+        mirror_mm=middle.mirror_mm,
+        mirror_probability=middle.mirror_probability,
+    )
+    return doubted(answer, f"{reason} (its parts read {', '.join(f'{part.depth_mm / 10:.0f}' for part in told)} cm)")
 
 
 def unless_another_blur_fits(
@@ -134,6 +148,14 @@ def unless_beyond_reach(
         "its sharp edges fit that side of focus better; use a bank that reaches so far"
     )
     return doubted(wider, reason)
+
+
+def unless_on_either_side(estimate: DepthEstimate, model: DepthModel) -> DepthEstimate:
+    """Call an estimate ambiguous whose interval reaches far to both sides of focus: it names neither."""
+    nearer, farther = (model.psfs.radius_px(end) for end in estimate.interval_mm)
+    if estimate.status != "ok" or nearer > -_EITHER_SIDE_PX or farther < _EITHER_SIDE_PX:
+        return estimate
+    return doubted(estimate, "its side of focus is open: every blur within its interval fits")
 
 
 def _signed(radius: float, far: float, near: float, in_reach: NDArray[np.bool_]) -> list[float]:

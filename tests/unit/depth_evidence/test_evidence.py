@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -11,8 +12,9 @@ from scipy import ndimage
 from calibration.bank import Bank
 from calibration.pupil import fit_pupil
 from tests.unit.depth_evidence.synthetic import as_image, leaves, make_bank, photograph
-from workbench.depth.evidence import EvidenceOptions, estimate_evidence
+from workbench.depth.evidence import EvidenceOptions, estimate_evidence, prepare
 from workbench.depth.evidence_colour import informative_mixture
+from workbench.depth.evidence_doubt import uneven, unless_on_either_side
 from workbench.depth.evidence_expected import mixed_power
 from workbench.depth.evidence_learn import learn
 from workbench.depth.evidence_model import LEARNED, Learned
@@ -233,3 +235,40 @@ def test_wood_grain_does_not_pass_for_a_large_blur(bank: Bank, seed: int) -> Non
 def test_constants_out_of_range_are_refused_by_name(setting: dict[str, float]) -> None:
     with pytest.raises(ValueError, match=next(iter(setting))):
         EvidenceOptions(**setting)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(("interval_mm", "status"), [
+    ((1330.0, 2000.0), "ambiguous"), ((1500.0, 2000.0), "ok"), ((1330.0, 1700.0), "ok"), ((2000.0, 3000.0), "ok"),
+])  # fmt: skip
+def test_interval_that_reaches_far_to_both_sides_of_focus_names_neither(
+    bank: Bank, interval_mm: tuple[float, float], status: str
+) -> None:
+    """2 pixels of blur are about 139 and 189 cm here."""
+    image = photograph(leaves(SIDE, 2), 1600.0)
+    sure = estimate_evidence(image, bank, whole(image.shape))[1]
+    found = unless_on_either_side(replace(sure, interval_mm=interval_mm, status="ok"), prepare(bank, EvidenceOptions()))
+    assert found.status == status
+    assert bool(found.reason) == (status == "ambiguous")
+
+
+def test_parts_that_say_nothing_leave_the_depth_and_its_interval(bank: Bank) -> None:
+    image = photograph(leaves(SIDE, 3), 2400.0)
+    whole_region = estimate_evidence(image, bank, whole(image.shape))[1]
+    silent = replace(whole_region, depth_mm=float("nan"), interval_mm=(float("nan"),) * 2)
+    found = uneven(whole_region, [silent] * 4)
+    assert (found.depth_mm, found.interval_mm) == (whole_region.depth_mm, whole_region.interval_mm)
+    assert found.status == "ambiguous"
+    near, far = (replace(whole_region, depth_mm=z, interval_mm=(z - 9.0, z + 9.0)) for z in (1200.0, 3000.0))
+    found = uneven(whole_region, [near, silent, far, silent])
+    assert found.interval_mm == (1191.0, 3009.0)
+    assert found.depth_mm in (1200.0, 3000.0)
+    assert "its parts read 120, 300 cm" in found.reason
+
+
+def test_another_depth_is_named_where_the_rest_is_spread_evenly(bank: Bank) -> None:
+    image = photograph(leaves(SIDE, 3), 2400.0)
+    unsure = replace(bank, extras={LEARNED: replace(Learned(), outlier=0.3).as_array()})
+    found = estimate_evidence(image, unsure, whole(image.shape))[1]
+    assert found.status == "ambiguous"
+    assert np.isnan(found.second_mm)
+    assert re.fullmatch(r"\d+% probability of another depth, most likely \d+ cm", found.reason)
