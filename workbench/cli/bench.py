@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import click
+from click.core import ParameterSource
 
 from calibration.bank import Bank, save_bank
 from calibration.photograph import develop_photograph
@@ -101,6 +102,10 @@ class Form:
     """Reference methods measure one case of so many."""
 
 
+_OF_CASES = ("textures", "sizes", "lights", "depths", "from_mm", "to_mm", "every", "jobs")
+_OF_RIG = ("seed", "step_mm")
+"""Options that say what the simulated rig photographs, and that files and scenes have no use for."""
+
 QUICK = Form(methods=(DEFAULT_METHOD, "sharpness"), depths=3, lights=("normal",), every=3)
 FULL = Form(methods=tuple(METHODS), depths=59, lights=tuple(LIGHTS), every=12)
 
@@ -169,12 +174,14 @@ def accuracy(
     if raws is not None:
         if scenes is not None:
             raise click.UsageError("--raws and --scenes: give one of them")
+        _refuse_given((*_OF_CASES, *_OF_RIG), "--raws")
         files = read_truth(context.existing(raws, "directory"))
         if bank_ref is None:
             context.note(f"bank: from {raws / 'psf'}")
         bank = raws_bank(work, raws / "psf") if bank_ref is None else open_bank(context.project(), bank_ref)[0]
         _measure_files(context, files, bank, methods, settings, out, {"files": str(raws)})
     elif scenes is not None:
+        _refuse_given(_OF_CASES, "--scenes")
         seed = int(chosen["seed"])
         bank, config = _bank_of_rig(context, bank_ref, work, chosen["step_mm"])
         with tempfile.TemporaryDirectory(prefix="workbench-bench-") as scratch:
@@ -184,6 +191,15 @@ def accuracy(
             _measure_files(context, read_truth(Path(scratch)), bank, methods, settings, out, about)
     else:
         _measure_simulated(context, FULL if full else QUICK, methods, settings, bank_ref, work, out, **chosen)
+
+
+def _refuse_given(names: Sequence[str], beside: str) -> None:
+    """Refuse options of the current command that were given though they have no use beside another one."""
+    current = click.get_current_context()
+    flags = {param.name: param.opts[0] for param in current.command.params}
+    for name in names:
+        if current.get_parameter_source(name) is ParameterSource.COMMANDLINE:
+            raise click.UsageError(f"{flags[name]} says what is simulated, which {beside} does not: leave it out")
 
 
 def _measure_simulated(

@@ -134,6 +134,10 @@ def test_a_photograph_that_cannot_be_measured_says_why(tmp_path: Path) -> None:
         (["--raws", "nowhere"], "no such directory"),
         (["--depths", "0"], "0"),
         (["--from", "5m"], "no depth"),
+        (["--raws", ".", "--from", "1m"], "--from says what is simulated"),
+        (["--raws", ".", "--seed", "0"], "--seed says"),
+        (["--scenes", "1", "--sizes", "64"], "--sizes says"),
+        (["--scenes", "1", "--raws", "."], "--raws and --scenes"),
     ],
 )
 def test_wrong_wishes_are_refused_before_anything_is_made(
