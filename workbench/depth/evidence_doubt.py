@@ -18,6 +18,7 @@ _SAME_PX, _APART_PX = 1.0, 2.0
 _OPEN_SIDE = 3.0
 """A side of focus stays open if sparseness speaks against it by less than so many nats."""
 _EITHER_SIDE_PX = 2.0
+_ENOUGH_PARTS = 2
 _RIVAL_PX = 0.5
 """Standard errors or not, a rival blur is known to half a pixel."""
 _OUT_OF_REACH = 3.0
@@ -42,14 +43,15 @@ def uneven(estimate: DepthEstimate, parts: Sequence[DepthEstimate]) -> DepthEsti
     Returns
     -------
     DepthEstimate
-        The depth of the middle part, and an interval that holds those of all.
+        The depth of the middle one of the parts that are sure of theirs, and an interval that holds those of all.
     """
     told = sorted((part for part in parts if np.isfinite(part.depth_mm)), key=lambda part: part.depth_mm)
     reason = "its blur is not the same all over: a slanted surface, or several depths"
     if not told:
         return doubted(estimate, reason)
     low, high = zip(estimate.interval_mm, *(part.interval_mm for part in told), strict=True)
-    middle = max(told[(len(told) - 1) // 2 : len(told) // 2 + 1], key=lambda part: part.confidence)
+    sure = [part for part in told if part.status == "ok"]
+    middle = sure[len(sure) // 2] if len(sure) >= _ENOUGH_PARTS else estimate
     answer = replace(
         estimate,
         depth_mm=middle.depth_mm,

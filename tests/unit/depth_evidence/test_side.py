@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from tests.unit.depth_evidence.synthetic import draw_psf, leaves, photograph
+from tests.unit.depth_evidence.synthetic import draw_psf, leaves, photograph, radius_px
+from workbench.depth import evidence_side
 from workbench.depth.evidence_side import FAMILIES, STATISTICS, Comparison, compare, favour_by_window
 from workbench.depth.evidence_spectrum import TextureSpectrum, basis
 from workbench.depth.evidence_windows import place_windows, soft_mask
@@ -60,6 +61,18 @@ def test_texture_without_phases_favours_no_side() -> None:
         found.append(compared(0.4 + 0.1 * noise / noise.std(), FAR).favour)
     assert np.abs(np.mean(found, axis=0)).max() < 1.5
     assert np.abs(found).mean() < 1.5
+
+
+@pytest.mark.parametrize("depth_mm", [FAR, NEAR])
+def test_zone_plate_favours_no_side_since_it_has_no_edges(depth_mm: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    y, x = np.mgrid[: SIDE + 64, : SIDE + 64] - (SIDE + 64) / 2.1
+    plate = 0.45 + 0.3 * np.cos(np.pi * 0.35 * (x * x + y * y) / SIDE)
+    favour = compared(plate, depth_mm).favour
+    wrong = -np.sign(radius_px(depth_mm)) * favour
+    monkeypatch.setattr(evidence_side, "_WAVES", (10.0, 9.0))  # whatever it is, take it for edges
+    unguarded = -np.sign(radius_px(depth_mm)) * compared(plate, depth_mm).favour
+    assert unguarded.mean() > 1.2
+    assert wrong.mean() < 0.3 * unguarded.mean()
 
 
 def test_more_of_the_same_texture_says_more_though_the_difference_stays() -> None:
