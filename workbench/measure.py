@@ -24,6 +24,7 @@ from workbench.display import png_bytes, to_srgb8
 from workbench.errors import InputError
 from workbench.files import sha256_json, staged_files, write_json
 from workbench.measurement import Measurement
+from workbench.processors import usable_processors
 from workbench.project import Project
 from workbench.report import write_measurement_report
 
@@ -171,7 +172,7 @@ def measure(path: Path, bank: Bank, bank_ref: str, options: MeasureOptions) -> M
         labels=labels,
         estimates=estimates,
         depth_map_mm=depth_map(labels, estimates),
-        all_focus=all_focus(image, bank, labels, estimates),
+        all_focus=all_focus(image, bank, labels, estimates, workers=usable_processors()),
         bank_quality=quality_verdict(bank),
         seconds=time.perf_counter() - started,
     )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import tempfile
 import time
 from collections.abc import Mapping, Sequence
@@ -47,6 +46,7 @@ from workbench.errors import InputError
 from workbench.figures.bench import error_and_bound, measured_against_true, rates_by_texture
 from workbench.figures.style import to_bytes
 from workbench.files import staged_files, write_json
+from workbench.processors import usable_processors
 from workbench.units import cm, seconds_text
 
 FIGURES = {
@@ -227,7 +227,7 @@ def _measure_simulated(
         second[name] = View(other, replace(rig, pupil=pupil))
     with context.progress("bench accuracy") as observer:
         outcomes = run_cases(
-            cases, run, View(bank, rig), second=second, jobs=jobs or min(2, os.cpu_count() or 1), observer=observer
+            cases, run, View(bank, rig), second=second, jobs=jobs or min(2, usable_processors()), observer=observer
         )
     facts = {
         **_bank_facts(bank),
