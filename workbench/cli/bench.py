@@ -103,8 +103,9 @@ class Form:
 
 
 _OF_CASES = ("textures", "sizes", "lights", "depths", "from_mm", "to_mm", "every", "jobs")
-_OF_RIG = ("seed", "step_mm")
-"""Options that say what the simulated rig photographs, and that files and scenes have no use for."""
+"""Options of single simulated planes: neither files nor scenes have a use for them."""
+_OF_RIG = ("full", "seed", "step_mm")
+"""Options of what the simulated rig photographs, and of its bank: files have no use for them."""
 
 QUICK = Form(methods=(DEFAULT_METHOD, "sharpness"), depths=3, lights=("normal",), every=3)
 FULL = Form(methods=tuple(METHODS), depths=59, lights=tuple(LIGHTS), every=12)
@@ -170,6 +171,8 @@ def accuracy(
     Scenes are photographed by the simulated rig; no project is needed. The quick form takes about a minute.
     """
     work = work or default_work()
+    if bank_ref is not None:
+        _refuse_given(("step_mm",), "--bank")
     methods = methods or (FULL if full or raws is not None else QUICK).methods
     if raws is not None:
         if scenes is not None:
@@ -194,12 +197,18 @@ def accuracy(
 
 
 def _refuse_given(names: Sequence[str], beside: str) -> None:
-    """Refuse options of the current command that were given though they have no use beside another one."""
+    """Refuse options of the current command that were given though they have no use beside another one.
+
+    Raises
+    ------
+    click.UsageError
+        Naming the first of them.
+    """
     current = click.get_current_context()
     flags = {param.name: param.opts[0] for param in current.command.params}
     for name in names:
         if current.get_parameter_source(name) is ParameterSource.COMMANDLINE:
-            raise click.UsageError(f"{flags[name]} says what is simulated, which {beside} does not: leave it out")
+            raise click.UsageError(f"{flags[name]} has no use beside {beside}: leave it out")
 
 
 def _measure_simulated(

@@ -216,7 +216,7 @@ def _line_share(power: FloatArray, expected: NDArray[np.float32], fit: SpectralF
     texture = np.exp(fit.texture(best).log_power(modulus[used], direction[used]))
     model = texture * np.maximum(expected[best][used], 0.0) + np.exp(float(fit.log_noise[best]))
     ratio = np.sort(power[used] / model)
-    return float(ratio[-max(1, ratio.size // 100) :].sum() / ratio.sum())
+    return float(ratio[-max(1, ratio.size // 100) :].sum() / max(float(ratio.sum()), 1e-30))
 
 
 def measure_region(

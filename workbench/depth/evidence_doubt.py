@@ -18,7 +18,6 @@ _SAME_PX, _APART_PX = 1.0, 2.0
 _OPEN_SIDE = 3.0
 """A side of focus stays open if sparseness speaks against it by less than so many nats."""
 _EITHER_SIDE_PX = 2.0
-_ENOUGH_PARTS = 2
 _RIVAL_PX = 0.5
 """Standard errors or not, a rival blur is known to half a pixel."""
 _OUT_OF_REACH = 3.0
@@ -31,36 +30,21 @@ def doubted(estimate: DepthEstimate, reason: str) -> DepthEstimate:
 
 
 def uneven(estimate: DepthEstimate, parts: Sequence[DepthEstimate]) -> DepthEstimate:
-    """Call an estimate ambiguous because its region has no single depth.
+    """Call an estimate ambiguous because its region has no single depth; its interval then holds those of its parts.
 
     Parameters
     ----------
     estimate
-        Of the whole region: often that of its sharpest edge, which may be nobody's depth.
+        Of the whole region as if it had one depth: often that of its sharpest edge.
     parts
         Of pieces of it that make up the region. Those that say nothing are left out.
-
-    Returns
-    -------
-    DepthEstimate
-        The depth of the middle one of the parts that are sure of theirs, and an interval that holds those of all.
     """
     told = sorted((part for part in parts if np.isfinite(part.depth_mm)), key=lambda part: part.depth_mm)
-    reason = "its blur is not the same all over: a slanted surface, or several depths"
-    if not told:
-        return doubted(estimate, reason)
     low, high = zip(estimate.interval_mm, *(part.interval_mm for part in told), strict=True)
-    sure = [part for part in told if part.status == "ok"]
-    middle = sure[len(sure) // 2] if len(sure) >= _ENOUGH_PARTS else estimate
-    answer = replace(
-        estimate,
-        depth_mm=middle.depth_mm,
-        interval_mm=(min(low), max(high)),
-        confidence=min(estimate.confidence, middle.confidence),
-        mirror_mm=middle.mirror_mm,
-        mirror_probability=middle.mirror_probability,
-    )
-    return doubted(answer, f"{reason} (its parts read {', '.join(f'{part.depth_mm / 10:.0f}' for part in told)} cm)")
+    reason = "its blur is not the same all over: a slanted surface, or several depths"
+    if told:
+        reason += f" (its parts read {', '.join(f'{part.depth_mm / 10:.0f}' for part in told)} cm)"
+    return doubted(replace(estimate, interval_mm=(min(low), max(high))), reason)
 
 
 def unless_another_blur_fits(

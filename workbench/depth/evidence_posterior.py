@@ -164,9 +164,9 @@ def summarise(
     status: Status = "ok" if mass >= options.ambiguous_below and not joined else "ambiguous"
     reason = ""
     if status == "ambiguous":
-        outside = np.concatenate([density[:first], np.zeros(last - first), density[last:]])
-        other = mirror if mirror_probability > 0.5 * (1.0 - mass) else model.depth_mm(float(sigma[outside.argmax()]))
-        reason = f"{1 - mass:.0%} probability of another depth, most likely {other / 10:.0f} cm"
+        other = mirror if mirror_probability > 0.5 * (1.0 - mass) else second
+        named = f"most likely {other / 10:.0f} cm" if np.isfinite(other) else "none of them likely by itself"
+        reason = f"{1 - mass:.0%} probability of another depth, {named}"
     coarse = np.zeros(model.sigma_px.size)
     np.add.at(coarse, np.clip(np.rint((sigma - sigma[0]) / (step * _FINER)).astype(int), 0, coarse.size - 1), density)
     return DepthEstimate(

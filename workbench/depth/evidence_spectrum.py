@@ -92,7 +92,8 @@ class SpectralFit:
     log_noise
         float64 (D,): log n.
     axis
-        Direction (rad) in the frequency plane that holds most of the power; the basis has ridges along and across it.
+        Direction (rad) in the frequency plane that holds most of the power; the basis has ridges along and across it,
+        near 0 where the texture has none (:attr:`Band.ridges_from`).
     band
         Frequencies that were used.
     """

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import replace
 
 import numpy as np
@@ -18,6 +17,7 @@ from workbench.depth.evidence_doubt import uneven, unless_on_either_side
 from workbench.depth.evidence_expected import mixed_power
 from workbench.depth.evidence_learn import learn
 from workbench.depth.evidence_model import LEARNED, Learned
+from workbench.depth.evidence_spectrum import SUPERPIXELS, fit_spectra, frequencies
 from workbench.depth.evidence_uniform import quarters_of
 from workbench.depth.regions import whole
 
@@ -251,24 +251,50 @@ def test_interval_that_reaches_far_to_both_sides_of_focus_names_neither(
     assert bool(found.reason) == (status == "ambiguous")
 
 
-def test_parts_that_say_nothing_leave_the_depth_and_its_interval(bank: Bank) -> None:
+def test_parts_widen_the_interval_and_are_named_and_those_that_say_nothing_are_not(bank: Bank) -> None:
     image = photograph(leaves(SIDE, 3), 2400.0)
-    whole_region = estimate_evidence(image, bank, whole(image.shape))[1]
-    silent = replace(whole_region, depth_mm=float("nan"), interval_mm=(float("nan"),) * 2)
-    found = uneven(whole_region, [silent] * 4)
-    assert (found.depth_mm, found.interval_mm) == (whole_region.depth_mm, whole_region.interval_mm)
-    assert found.status == "ambiguous"
-    near, far = (replace(whole_region, depth_mm=z, interval_mm=(z - 9.0, z + 9.0)) for z in (1200.0, 3000.0))
-    found = uneven(whole_region, [near, silent, far, silent])
+    entire = estimate_evidence(image, bank, whole(image.shape))[1]
+    silent = replace(entire, depth_mm=float("nan"), interval_mm=(float("nan"),) * 2)
+    found = uneven(entire, [silent] * 4)
+    assert (found.depth_mm, found.interval_mm) == (entire.depth_mm, entire.interval_mm)
+    assert (found.status, found.confidence) == ("ambiguous", 0.5 * entire.confidence)
+    assert "parts" not in found.reason
+    near, far = (replace(entire, depth_mm=z, interval_mm=(z - 9.0, z + 9.0)) for z in (1200.0, 3000.0))
+    found = uneven(entire, [far, silent, near, silent])
     assert found.interval_mm == (1191.0, 3009.0)
-    assert found.depth_mm in (1200.0, 3000.0)
-    assert "its parts read 120, 300 cm" in found.reason
+    assert found.depth_mm == entire.depth_mm
+    assert found.reason.endswith("(its parts read 120, 300 cm)")
+    assert uneven(entire, [near] * 4).interval_mm == (1191.0, entire.interval_mm[1])
 
 
-def test_another_depth_is_named_where_the_rest_is_spread_evenly(bank: Bank) -> None:
+def test_none_is_named_where_the_rest_is_spread_evenly(bank: Bank) -> None:
     image = photograph(leaves(SIDE, 3), 2400.0)
     unsure = replace(bank, extras={LEARNED: replace(Learned(), outlier=0.3).as_array()})
     found = estimate_evidence(image, unsure, whole(image.shape))[1]
     assert found.status == "ambiguous"
     assert np.isnan(found.second_mm)
-    assert re.fullmatch(r"\d+% probability of another depth, most likely \d+ cm", found.reason)
+    assert found.reason == "29% probability of another depth, none of them likely by itself"
+
+
+def test_windows_of_any_side_can_be_compared(bank: Bank) -> None:
+    """Halves of 132 and 140 pixels are no multiples of a tile."""
+    image = photograph(leaves(SIDE, 3), 2400.0)
+    mask = np.zeros(image.shape, np.int32)
+    mask[10:80, 20:90] = 1
+    for side in (132, 140):
+        found = estimate_evidence(image, bank, mask, EvidenceOptions(window_px=side))[1]
+        assert found.interval_mm[0] <= 2400.0 <= found.interval_mm[1]
+
+
+def test_ridges_are_kept_out_of_textures_without_a_direction() -> None:
+    modulus, direction, used = frequencies(64)
+    power = np.ones(modulus.shape)
+    power[used] = 1e-4 / modulus[used] ** 2
+    power[used] /= np.sqrt(1.0 + (modulus[used] * np.sin(direction[used]) / 0.05) ** 2)
+    flat = np.ones((1, *modulus.shape), np.float32)
+    ridges = [
+        np.abs(fit_spectra(power, 20.0, flat, band=replace(SUPERPIXELS, ridges_from=least)).coefficients[0, -2:]).max()
+        for least in (0.0, 0.999)
+    ]
+    assert ridges[0] > 0.1
+    assert ridges[1] < 0.01
