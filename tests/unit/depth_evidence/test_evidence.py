@@ -251,6 +251,15 @@ def test_interval_that_reaches_far_to_both_sides_of_focus_names_neither(
     assert bool(found.reason) == (status == "ambiguous")
 
 
+def test_side_of_a_single_edge_next_to_focus_stays_open(bank: Bank) -> None:
+    edge = np.where(np.arange(330) < 165, 0.3, 0.6)
+    image = photograph(np.tile(edge, (330, 1)), 1300.0)
+    found = estimate_evidence(image, bank, whole(image.shape))[1]
+    assert found.status == "ambiguous"
+    assert found.reason == "its side of focus is open: every blur within its interval fits"
+    assert found.interval_mm[0] <= 1300.0 <= found.interval_mm[1]
+
+
 def test_parts_widen_the_interval_and_are_named_and_those_that_say_nothing_are_not(bank: Bank) -> None:
     image = photograph(leaves(SIDE, 3), 2400.0)
     entire = estimate_evidence(image, bank, whole(image.shape))[1]
