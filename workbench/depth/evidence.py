@@ -13,7 +13,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -67,6 +66,9 @@ Mask = NDArray[np.bool_]
 _RAMP_PX = 12.0
 _MOST_WINDOWS = 100
 """Of a large region; averages of more are not trusted more."""
+_MOST_IN_PARTS = 400_000
+"""Superpixels of an uneven region that is measured by its quarters, each of which costs as much as a region. Larger ones
+are told to be uneven, and no more."""
 _REFINED_WITHIN, _NARROW = 30.0, 5.0
 _NATIVE_WITHIN = 70.0
 """Photosites are looked at where superpixels leave a blur next to focus within so much log-likelihood of the best."""
@@ -247,13 +249,16 @@ def measure_region(
     if _is_strict_pattern(seen):
         reason = "only isolated spatial frequencies stand above the noise (a strict pattern): any blur explains them"
         return _refused(model, "no-texture", pixels, reason)
-    parts = []
-    if seen.varied > options.varied_log_likelihood or seen.parted > options.parts_log_likelihood:
-        parts = [
-            measure_region(plane, saturated, part, model, learned, options, with_photosites, as_one=True)
-            for part in quarters_of(usable)
-        ]
-    return _conclude(seen, parts, model, learned, options)
+    is_uneven = seen.varied > options.varied_log_likelihood or seen.parted > options.parts_log_likelihood
+    estimate = _conclude(seen, is_uneven, model, learned, options)
+    if not is_uneven:
+        return estimate
+    quarters = quarters_of(usable) if pixels <= _MOST_IN_PARTS else []
+    alone = [
+        measure_region(plane, saturated, quarter, model, learned, options, with_photosites, as_one=True)
+        for quarter in quarters
+    ]
+    return uneven(estimate, alone)
 
 
 def _is_strict_pattern(seen: Observation) -> bool:
@@ -268,9 +273,9 @@ def _refused(model: DepthModel, status: Status, pixels: int, reason: str) -> Dep
 
 
 def _conclude(
-    seen: Observation, parts: Sequence[DepthEstimate], model: DepthModel, learned: Learned, options: EvidenceOptions
+    seen: Observation, is_uneven: bool, model: DepthModel, learned: Learned, options: EvidenceOptions
 ) -> DepthEstimate:
-    """From what was seen to an answer; ``parts`` where the blur is not the same all over."""
+    """From what was seen to an answer; nothing else is doubted of a region that has no single depth."""
     likelihood, views = seen.likelihood, (seen.view, seen.photosites)
     modes = find_modes(likelihood, model.row_radius_px)
     clues = compare_sides(*views, modes, model, options)
@@ -293,8 +298,8 @@ def _conclude(
     row = int(np.abs(np.abs(model.row_radius_px) - abs(sigma[log_post.argmax()])).argmin())
     finer = view_of(*views, row).finer
     estimate = summarise(sigma, log_post, seen.covered, seen.line_share, finer, model, learned, options, diagnostics)
-    if parts:
-        return uneven(estimate, parts)
+    if is_uneven:
+        return estimate
     estimate = unless_another_blur_fits(estimate, likelihood, modes, (far, near), model, options)
     estimate = unless_beyond_reach(estimate, modes, side_odds(clues, learned), model)
     return unless_on_either_side(estimate, model)
