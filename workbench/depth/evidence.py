@@ -67,8 +67,8 @@ _RAMP_PX = 12.0
 _MOST_WINDOWS = 100
 """Of a large region; averages of more are not trusted more."""
 _MOST_IN_PARTS = 400_000
-"""Superpixels of an uneven region that is measured by its quarters, each of which costs as much as a region. Larger ones
-are told to be uneven, and no more."""
+"""Superpixels of an uneven region that is measured by its quarters, each of which costs as much as a region. Larger
+ones are told to be uneven, and no more."""
 _REFINED_WITHIN, _NARROW = 30.0, 5.0
 _NATIVE_WITHIN = 70.0
 """Photosites are looked at where superpixels leave a blur next to focus within so much log-likelihood of the best."""
