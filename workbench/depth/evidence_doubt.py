@@ -18,6 +18,7 @@ _SAME_PX, _APART_PX = 1.0, 2.0
 _OPEN_SIDE = 3.0
 """A side of focus stays open if sparseness speaks against it by less than so many nats."""
 _EITHER_SIDE_PX = 2.0
+"""An interval that reaches farther than this to both sides of focus names neither."""
 _RIVAL_PX = 0.5
 """Standard errors or not, a rival blur is known to half a pixel."""
 _OUT_OF_REACH = 3.0

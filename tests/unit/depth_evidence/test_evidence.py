@@ -17,7 +17,6 @@ from workbench.depth.evidence_doubt import uneven, unless_on_either_side
 from workbench.depth.evidence_expected import mixed_power
 from workbench.depth.evidence_learn import learn
 from workbench.depth.evidence_model import LEARNED, Learned
-from workbench.depth.evidence_spectrum import SUPERPIXELS, fit_spectra, frequencies
 from workbench.depth.evidence_uniform import quarters_of
 from workbench.depth.regions import whole
 
@@ -293,17 +292,3 @@ def test_windows_of_any_side_can_be_compared(bank: Bank) -> None:
     for side in (132, 140):
         found = estimate_evidence(image, bank, mask, EvidenceOptions(window_px=side))[1]
         assert found.interval_mm[0] <= 2400.0 <= found.interval_mm[1]
-
-
-def test_ridges_are_kept_out_of_textures_without_a_direction() -> None:
-    modulus, direction, used = frequencies(64)
-    power = np.ones(modulus.shape)
-    power[used] = 1e-4 / modulus[used] ** 2
-    power[used] /= np.sqrt(1.0 + (modulus[used] * np.sin(direction[used]) / 0.05) ** 2)
-    flat = np.ones((1, *modulus.shape), np.float32)
-    ridges = [
-        np.abs(fit_spectra(power, 20.0, flat, band=replace(SUPERPIXELS, ridges_from=least)).coefficients[0, -2:]).max()
-        for least in (0.0, 0.999)
-    ]
-    assert ridges[0] > 0.1
-    assert ridges[1] < 0.01

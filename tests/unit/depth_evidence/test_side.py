@@ -67,10 +67,10 @@ def test_texture_without_phases_favours_no_side() -> None:
 def test_zone_plate_favours_no_side_since_it_has_no_edges(depth_mm: float, monkeypatch: pytest.MonkeyPatch) -> None:
     y, x = np.mgrid[: SIDE + 64, : SIDE + 64] - (SIDE + 64) / 3
     plate = 0.45 + 0.3 * np.cos(np.pi * 0.45 * (x * x + y * y) / SIDE)
-    favour = compared(plate, depth_mm).favour
-    wrong = -np.sign(radius_px(depth_mm)) * favour
+    wrong_side = -np.sign(radius_px(depth_mm))
+    wrong = wrong_side * compared(plate, depth_mm).favour
     monkeypatch.setattr(evidence_side, "_WAVES", (10.0, 9.0))  # whatever it is, take it for edges
-    unguarded = -np.sign(radius_px(depth_mm)) * compared(plate, depth_mm).favour
+    unguarded = wrong_side * compared(plate, depth_mm).favour
     assert unguarded.mean() > 1.0
     assert wrong.mean() < 0.3 * unguarded.mean()
 

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from workbench.depth.evidence_spectrum import fit_spectra, frequencies
+from workbench.depth.evidence_spectrum import SUPERPIXELS, fit_spectra, frequencies
 
 SIZE = 128
 
@@ -66,3 +68,17 @@ def test_what_is_no_number_ends_as_no_answer_and_not_as_a_crash(bad: float) -> N
     power[9, 9] = bad
     with np.errstate(invalid="ignore"):
         assert not np.isfinite(fit_spectra(power, 10.0, expected).log_likelihood.max())
+
+
+def test_ridges_are_kept_out_of_textures_without_a_direction() -> None:
+    modulus, direction, used = frequencies(64)
+    power = np.ones(modulus.shape)
+    power[used] = 1e-4 / modulus[used] ** 2
+    power[used] /= np.sqrt(1.0 + (modulus[used] * np.sin(direction[used]) / 0.05) ** 2)
+    flat = np.ones((1, *modulus.shape), np.float32)
+    ridges = [
+        np.abs(fit_spectra(power, 20.0, flat, band=replace(SUPERPIXELS, ridges_from=least)).coefficients[0, -2:]).max()
+        for least in (0.0, 0.999)
+    ]
+    assert ridges[0] > 0.1
+    assert ridges[1] < 0.01
