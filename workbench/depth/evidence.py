@@ -40,7 +40,7 @@ from workbench.depth.evidence_posterior import (
     summarise,
 )
 from workbench.depth.evidence_spectrum import SpectralFit, fit_spectra, frequencies
-from workbench.depth.evidence_uniform import mixture_gain, parts_loss, quarters_of
+from workbench.depth.evidence_uniform import Part, fit_parts, mixture_gain, parts_loss, read_parts
 from workbench.depth.evidence_view import (
     View,
     compare_sides,
@@ -66,9 +66,6 @@ Mask = NDArray[np.bool_]
 _RAMP_PX = 12.0
 _MOST_WINDOWS = 100
 """Of a large region; averages of more are not trusted more."""
-_MOST_IN_PARTS = 400_000
-"""Superpixels of an uneven region that is measured by its quarters, each of which costs as much as a region. Larger
-ones are told to be uneven, and no more."""
 _REFINED_WITHIN, _NARROW = 30.0, 5.0
 _NATIVE_WITHIN = 70.0
 """Photosites are looked at where superpixels leave a blur next to focus within so much log-likelihood of the best."""
@@ -133,8 +130,8 @@ class Observation:
     """Part of the texture's power, relative to its smooth spectrum, in the strongest hundredth of the frequencies."""
     varied: float
     """Log-likelihood that a mixture of neighbouring blurs gains over the best single one; 0 where nobody asks."""
-    parted: float
-    """Log-likelihood that its parts lose by sharing one blur; 0 where nobody asks."""
+    parts: list[Part]
+    """Its quarters by themselves; none where they are too small, or nobody asks."""
 
 
 def observe(
@@ -168,12 +165,12 @@ def observe(
     view, photosites = View(plane, soft, clear, chosen, pooled, fit), None
     if with_photosites is not None and with_photosites.mosaic is not None and _next_to_focus(fit.log_likelihood, model):
         photosites = view_photosites(with_photosites, mask, view, model, options)
-    varied = parted = 0.0
+    varied, parts = 0.0, list[Part]()
     if not as_one:
         varied = mixture_gain(pooled, expected, float(fit.log_likelihood.max()), model, options)
         if size // 2 >= options.smallest_window_px:
             finer = place_windows(mask, soft, size // 2, least_weight=options.least_weight)
-            parted = parts_loss(plane, finer, model, options)
+            parts = fit_parts(plane, finer, mask, model, options)
     pixels = sum(w.weight for w in windows) * size * size * 0.25  # half overlap both ways: each pixel counts fourfold
     return Observation(
         view,
@@ -184,7 +181,7 @@ def observe(
         _low_share(pooled.power, fit),
         _line_share(pooled.power, expected, fit),
         varied,
-        parted,
+        parts,
     )
 
 
@@ -229,16 +226,14 @@ def measure_region(
     learned: Learned,
     options: EvidenceOptions,
     with_photosites: LinearImage | None = None,
-    *,
-    as_one: bool = False,
 ) -> DepthEstimate:
-    """Depth of one region; see :func:`estimate_evidence`. ``as_one`` takes its blur to be the same all over."""
+    """Depth of one region; see :func:`estimate_evidence`."""
     pixels = int(mask.sum())
     clipped = float((saturated & mask).sum()) / max(pixels, 1)
     if clipped > options.max_saturated:
         return _refused(model, "saturated", pixels, f"{clipped:.0%} of its pixels are saturated; expose less")
     usable = mask & ~saturated if clipped > 0.002 else mask
-    seen = observe(plane, usable, model, options, with_photosites, as_one=as_one)
+    seen = observe(plane, usable, model, options, with_photosites)
     if seen is None:
         return _refused(
             model, "no-texture", pixels, f"too small or too thin for a window of {options.smallest_window_px} px"
@@ -249,16 +244,12 @@ def measure_region(
     if _is_strict_pattern(seen):
         reason = "only isolated spatial frequencies stand above the noise (a strict pattern): any blur explains them"
         return _refused(model, "no-texture", pixels, reason)
-    is_uneven = seen.varied > options.varied_log_likelihood or seen.parted > options.parts_log_likelihood
+    is_uneven = seen.varied > options.varied_log_likelihood
+    is_uneven = is_uneven or parts_loss(seen.parts, model) > options.parts_log_likelihood
     estimate = _conclude(seen, is_uneven, model, learned, options)
     if not is_uneven:
         return estimate
-    quarters = quarters_of(usable) if pixels <= _MOST_IN_PARTS else []
-    alone = [
-        measure_region(plane, saturated, quarter, model, learned, options, with_photosites, as_one=True)
-        for quarter in quarters
-    ]
-    return uneven(estimate, alone)
+    return uneven(estimate, read_parts(seen.parts, seen.view, model, learned, options))
 
 
 def _is_strict_pattern(seen: Observation) -> bool:
@@ -287,7 +278,7 @@ def _conclude(
         if likelihood[row] > best - _REFINED_WITHIN and _narrow(likelihood, row)
     ]
     tempered = [Refined(part.radius_px, learned.temperature * part.log_likelihood) for part in refined]
-    sigma, log_post = signed_posterior(learned.temperature * likelihood, modes, far, near, model, tempered)
+    sigma, log_post = signed_posterior(learned.temperature * likelihood, modes, far, near, model, options, tempered)
     diagnostics = {
         "radius_px": model.row_radius_px,
         "log_likelihood": likelihood,

@@ -11,6 +11,7 @@ from scipy.special import expit
 
 from workbench.depth.estimate import DepthEstimate
 from workbench.depth.evidence_model import DepthModel, EvidenceOptions
+from workbench.depth.evidence_uniform import Reading
 
 FloatArray = NDArray[np.float64]
 
@@ -30,7 +31,7 @@ def doubted(estimate: DepthEstimate, reason: str) -> DepthEstimate:
     return replace(estimate, status="ambiguous", confidence=0.5 * estimate.confidence, reason=reason)
 
 
-def uneven(estimate: DepthEstimate, parts: Sequence[DepthEstimate]) -> DepthEstimate:
+def uneven(estimate: DepthEstimate, parts: Sequence[Reading]) -> DepthEstimate:
     """Call an estimate ambiguous because its region has no single depth; its interval then holds those of its parts.
 
     Parameters
@@ -38,13 +39,13 @@ def uneven(estimate: DepthEstimate, parts: Sequence[DepthEstimate]) -> DepthEsti
     estimate
         Of the whole region as if it had one depth: often that of its sharpest edge.
     parts
-        Of pieces of it that make up the region. Those that say nothing are left out.
+        What pieces of it read, as far as they say anything.
     """
-    told = sorted((part for part in parts if np.isfinite(part.depth_mm)), key=lambda part: part.depth_mm)
-    low, high = zip(estimate.interval_mm, *(part.interval_mm for part in told), strict=True)
+    told = sorted(part.depth_mm / 10 for part in parts)
+    low, high = zip(estimate.interval_mm, *(part.interval_mm for part in parts), strict=True)
     reason = "its blur is not the same all over: a slanted surface, or several depths"
     if told:
-        reason += f" (its parts read {', '.join(f'{part.depth_mm / 10:.0f}' for part in told)} cm)"
+        reason += f" (its parts read {', '.join(f'{depth_cm:.0f}' for depth_cm in told)} cm)"
     return doubted(replace(estimate, interval_mm=(min(low), max(high))), reason)
 
 

@@ -21,6 +21,8 @@ LEARNED = "evidence_learned_2"
 """Name of :class:`Learned` among a bank's extras."""
 NATIVE_FINER = 2
 """Photosites a superpixel is wide."""
+BEYOND_PX = 0.5
+"""The grid of radii reaches so far beyond the bank's planes, so that a depth at their end has two sides."""
 _FARTHEST = 0.98
 _LEAST_NATIVE_ROWS = 6
 _AROUND_PX = 3.0
@@ -66,6 +68,9 @@ class EvidenceOptions:
     native_px
         Blurs of smaller radius (superpixels) are judged by the photosites themselves where the RAW file has details of
         that size; 0 for never.
+    prior_power
+        What depths are likely before anything is seen: as this power of z per step of 1/z. 1 takes every ratio of
+        depths for equally likely (an octave nearer as much as one farther), 2 every depth, 0 every radius of blur.
     factor_spread, factor_wide_share, factor_wide_spread
         Distribution of the texture's factor per frequency (:class:`TextureFactor`).
     """
@@ -87,6 +92,7 @@ class EvidenceOptions:
     colour_gain: float = 1.6
     max_saturated: float = 0.1
     native_px: float = 4.5
+    prior_power: float = 1.0
     factor_spread: float = 0.5
     factor_wide_share: float = 0.1
     factor_wide_spread: float = 2.5
@@ -107,6 +113,7 @@ class EvidenceOptions:
             colour_gain=self.colour_gain > 0,
             max_saturated=0 <= self.max_saturated <= 1,
             native_px=0 <= self.native_px <= 20,
+            prior_power=0 <= self.prior_power <= 4,
             factor_spread=0 < self.factor_spread <= 5,
             factor_wide_share=0 <= self.factor_wide_share < 1,
             factor_wide_spread=0 < self.factor_wide_spread <= 10,
@@ -138,7 +145,7 @@ class Learned:
         Per filter family: log-likelihood of a radius per unit of sparseness.
     """
 
-    temperature: float = 0.4
+    temperature: float = 0.5
     size_power: float = 0.25
     floor_px: float = 0.04
     outlier: float = 0.003
@@ -246,12 +253,12 @@ class DepthModel:
 def prepare(bank: Bank, options: EvidenceOptions, field_index: int | None = None) -> DepthModel:
     """Compute the autocorrelations of a bank's PSFs on a fine grid of radii.
 
-    The grid reaches half a pixel of radius beyond the bank's planes, so that a depth at their end has two sides.
+    The grid reaches :data:`BEYOND_PX` beyond the bank's planes.
     """
     psfs = psf_model(bank, field_index)
     nearest, farthest = psfs.radius_px(float(bank.depths_mm[0])), psfs.radius_px(float(bank.depths_mm[-1]))
     step = options.radius_step_px
-    low, high = int(np.floor((nearest - 0.5) / step)), int(np.ceil((farthest + 0.5) / step))
+    low, high = int(np.floor((nearest - BEYOND_PX) / step)), int(np.ceil((farthest + BEYOND_PX) / step))
     index = np.arange(low, high + 1)
     sigma = np.asarray((index + 0.5) * step, np.float64)
     if isinstance(psfs, PupilModel):  # the near side is the far side turned over: one row for both

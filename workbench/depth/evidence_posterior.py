@@ -11,7 +11,7 @@ from scipy.interpolate import CubicSpline
 from scipy.special import expit
 
 from workbench.depth.estimate import DepthEstimate, Status
-from workbench.depth.evidence_model import NATIVE_FINER, DepthModel, EvidenceOptions, Learned
+from workbench.depth.evidence_model import BEYOND_PX, NATIVE_FINER, DepthModel, EvidenceOptions, Learned
 from workbench.depth.evidence_side import Comparison
 
 FloatArray = NDArray[np.float64]
@@ -90,6 +90,7 @@ def signed_posterior(
     far: FloatArray,
     near: FloatArray,
     model: DepthModel,
+    options: EvidenceOptions,
     refined: Sequence[Refined] = (),
 ) -> tuple[FloatArray, FloatArray]:
     """Unnormalised log posterior on a finer grid of signed radii, from the rows' and the modes' log-likelihoods.
@@ -106,7 +107,18 @@ def signed_posterior(
     for part in refined:
         within = (place >= part.radius_px[0]) & (place <= part.radius_px[-1])
         log_likelihood[within] = CubicSpline(part.radius_px, part.log_likelihood)(place[within])
-    return fine, log_likelihood + side[closest]
+    return fine, log_likelihood + side[closest] + log_prior(model, fine, options.prior_power)
+
+
+def log_prior(model: DepthModel, sigma_px: FloatArray, power: float) -> FloatArray:
+    """Log density of signed radii before anything is seen, but for a constant; float64 like ``sigma_px``.
+
+    The radius is linear in 1/z. Where log z is evenly spread, as for a scale of which nothing is known (Jeffreys 1946),
+    the radius is as likely as d(log z) / d(1/z) = z, the power 1; evenly spread depths make it z^2, evenly spread radii
+    1. Beyond the bank's planes the density stays what it is there.
+    """
+    within = np.clip(sigma_px, model.sigma_px[0] + BEYOND_PX, model.sigma_px[-1] - BEYOND_PX)
+    return power * np.log(np.interp(within, model.sigma_px, model.depths_mm))
 
 
 def summarise(

@@ -7,29 +7,40 @@ does, and the region's parts, each with a texture of its own, must not lose by s
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from workbench.depth.evidence_expected import mixed_power, smeared_power
-from workbench.depth.evidence_model import DepthModel, EvidenceOptions
+from workbench.depth.evidence_model import DepthModel, EvidenceOptions, Learned
 from workbench.depth.evidence_periodogram import Pooled, pooled_periodogram
-from workbench.depth.evidence_spectrum import fit_spectra
-from workbench.depth.evidence_windows import Window
+from workbench.depth.evidence_posterior import log_prior
+from workbench.depth.evidence_spectrum import SpectralFit, fit_spectra
+from workbench.depth.evidence_view import View, compare_windows
+from workbench.depth.evidence_windows import Window, thinned
 
+FloatArray = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-_LEAST_WINDOWS, _MOST_WINDOWS = 9, 80
-"""Three by three half-overlapping windows: fewer are no four parts. More than so many say nothing new."""
+_MOST_WINDOWS, _SIDE_WINDOWS = 20, 9
+"""Of a part, for its blur and for its side. More say little new."""
+_OWN = 0.8
+"""Share of a window's taper that lies in the part it counts for; windows across a cut are left out."""
 _CHANCE = 1.0
 """Log-likelihood that a part may lose by chance."""
 _FOCUS_PX, _FOCUS_TRUST = 1.0, 0.1
 """A part that holds little but one strong edge near its border is put in focus by what the taper's slope makes of it:
 parts that claim to be in focus count for less."""
-_EVERY_ROW = 3
+_ROWS = slice(None, None, 3)
+"""Of the model: the blurs that parts are fitted with."""
 _MOST_AVERAGES = 12.0
 """Parts count for no more than this: a tolerance for what differs over the field, not a test of the lens."""
 _SAME_PX, _SAME_SHARE = 2.0, 0.05
+_HELD = 1.92
+"""Log-likelihood below the best within which a blur stays possible: half of chi-squared's 95 % at one freedom."""
+_OPEN_SIDE = 3.0
+"""A side of focus stays open if it is less likely by less than so many nats."""
 
 
 def mixture_gain(
@@ -53,10 +64,26 @@ def mixture_gain(
     return float(fit.log_likelihood.max()) - best
 
 
-def parts_loss(
-    plane: NDArray[np.float32], windows: Sequence[Window], model: DepthModel, options: EvidenceOptions
-) -> float:
-    """Log-likelihood that a region's quarters lose when they share one blur, to two pixels and 5 % of its radius.
+@dataclass(frozen=True, slots=True)
+class Part:
+    """A part of a region: windows that see nothing else of it, and what they say of every third blur of the model."""
+
+    windows: list[Window]
+    fit: SpectralFit
+
+
+@dataclass(frozen=True, slots=True)
+class Reading:
+    """What a part of a region reads by itself: its likeliest depth, and the range that stays possible."""
+
+    depth_mm: float
+    interval_mm: tuple[float, float]
+
+
+def fit_parts(
+    plane: NDArray[np.float32], windows: Sequence[Window], mask: Mask, model: DepthModel, options: EvidenceOptions
+) -> list[Part]:
+    """Fit every blur to each quarter of a region by itself.
 
     Parameters
     ----------
@@ -64,51 +91,110 @@ def parts_loss(
         float32 (H, W).
     windows
         That cover the region. They are best half as wide as those that its depth is read from: more of them fit in.
+    mask
+        bool (H, W): the region.
     model, options
         Radii of the blurs; the texture's distribution.
 
     Returns
     -------
-    float
-        0 where the windows are too few for four parts.
+    list of Part
+        Of the quarters that have windows of their own.
     """
-    if len(windows) < _LEAST_WINDOWS:
+    parts = []
+    for own in _by_quarter(windows, mask):
+        pooled = pooled_periodogram(plane, own, model.kernel_lags.shape[1] // 2)
+        expected = smeared_power(model.kernel_lags[_ROWS], pooled.taper_lags, pooled.power.shape[0])
+        averages = min(_MOST_AVERAGES, pooled.trusted)
+        parts.append(Part(own, fit_spectra(pooled.power, averages, expected, factor=options.factor)))
+    return parts
+
+
+def parts_loss(parts: Sequence[Part], model: DepthModel) -> float:
+    """Log-likelihood that parts lose when they share one blur, to two pixels and 5 % of its radius."""
+    if len(parts) < 2:
         return 0.0
-    rows = slice(None, None, _EVERY_ROW)
-    radius = np.abs(model.row_radius_px[rows])
-    curves = []
-    for part in _quarters(windows):
-        pooled = pooled_periodogram(plane, part, model.kernel_lags.shape[1] // 2)
-        expected = smeared_power(model.kernel_lags[rows], pooled.taper_lags, pooled.power.shape[0])
-        fit = fit_spectra(pooled.power, min(_MOST_AVERAGES, pooled.trusted), expected, factor=options.factor)
-        curves.append(fit.log_likelihood)
-    each = np.stack(curves)
+    radius = np.abs(model.row_radius_px[_ROWS])
+    each = np.stack([part.fit.log_likelihood for part in parts])
     shared = float(radius[each.sum(axis=0).argmax()])
     alike = np.abs(radius - shared) <= _SAME_PX + _SAME_SHARE * shared
     lost = np.maximum(each.max(axis=1) - each[:, alike].max(axis=1) - _CHANCE, 0.0)
     return float(np.where(radius[each.argmax(axis=1)] < _FOCUS_PX, _FOCUS_TRUST, 1.0) @ lost)
 
 
-def quarters_of(mask: Mask) -> list[Mask]:
-    """The region's upper and lower half, each cut into a left and a right one of as many pixels; bool (H, W) each."""
-    quarters = []
-    rows, columns = np.nonzero(mask)
-    for half in np.array_split(np.arange(rows.size), 2):  # in the order of the rows
-        for part in np.array_split(half[np.argsort(columns[half], kind="stable")], 2):
-            quarter = np.zeros_like(mask)
-            quarter[rows[part], columns[part]] = True
-            quarters.append(quarter)
-    return quarters
+def read_parts(
+    parts: Sequence[Part], view: View, model: DepthModel, learned: Learned, options: EvidenceOptions
+) -> list[Reading]:
+    """Depth of each part by itself, as far as its few windows tell; parts without texture are left out.
+
+    Parameters
+    ----------
+    parts
+        As fitted.
+    view
+        The region's superpixels.
+    model, learned, options
+        The bank, made ready; weights; the least evidence of texture, and the prior.
+    """
+    readings = []
+    for part in parts:
+        if part.fit.log_likelihood.max() - part.fit.null >= options.least_evidence:
+            readings.append(_read(part, view, model, learned, options))
+    return readings
 
 
-def _quarters(windows: Sequence[Window]) -> list[list[Window]]:
-    """Upper and lower half of the windows, each in a left and a right one, thinned out evenly."""
-    by_row = sorted(windows, key=lambda w: (w.row, w.column))
-    middle = (len(by_row) + 1) // 2
-    parts = []
-    for half in (by_row[:middle], by_row[middle:]):
-        by_column = sorted(half, key=lambda w: (w.column, w.row))
-        middle = (len(by_column) + 1) // 2
-        parts += [by_column[:middle], by_column[middle:]]
-    every = -(-len(windows) // _MOST_WINDOWS)
-    return [part[::every] for part in parts]
+def _read(part: Part, view: View, model: DepthModel, learned: Learned, options: EvidenceOptions) -> Reading:
+    radius = np.abs(model.row_radius_px[_ROWS])
+    likelihood = learned.temperature * part.fit.log_likelihood
+    best = int(likelihood.argmax())
+    about = slice(max(best - 1, 0), best + 2)
+    weight = np.exp(likelihood[about] - likelihood[best])
+    centre = float(radius[about] @ weight / weight.sum())
+    held = radius[likelihood > likelihood[best] - _HELD]
+    half = 0.5 * float(np.abs(np.diff(radius)).max())
+    reach = float(model.sigma_px[-1]), float(-model.sigma_px[0])  # far, near
+    clue = compare_windows(view, thinned(part.windows, _SIDE_WINDOWS), centre, part.fit.texture(best), model)
+    prior = log_prior(model, np.array([centre, -centre]), options.prior_power)
+    odds = float(clue.favour @ np.array(learned.side_weights) + prior[0] - prior[1])
+    possible = [(sign * odds, sign) for sign, end in zip((1.0, -1.0), reach, strict=True) if centre <= end]
+    likeliest = max(possible)[1]
+    ends = [
+        float(np.clip(sign * (end + step), model.sigma_px[0], model.sigma_px[-1]))
+        for end, step in ((held.min(), -half), (held.max(), half))
+        for favour, sign in possible
+        if favour > -_OPEN_SIDE or sign == likeliest
+    ]
+    return Reading(model.depth_mm(likeliest * centre), (model.depth_mm(min(ends)), model.depth_mm(max(ends))))
+
+
+def _by_quarter(windows: Sequence[Window], mask: Mask) -> list[list[Window]]:
+    """Windows that lie in one of the region's quarters, quarter by quarter, spread over it; empty ones left out."""
+    row, columns = quarter_cuts(mask)
+    parts: list[list[Window]] = [[] for _ in range(4)]
+    for window in windows[:: -(-len(windows) // (8 * _MOST_WINDOWS))]:
+        energy = window.taper**2
+        above = max(row - window.row, 0)
+        for half, (rows, column) in enumerate(zip((energy[:above], energy[above:]), columns, strict=True)):
+            left = max(column - window.column, 0)
+            for side, seen in enumerate((rows[:, :left], rows[:, left:])):
+                if seen.sum() >= _OWN * energy.sum():
+                    parts[2 * half + side].append(window)
+    return [thinned(part, _MOST_WINDOWS) for part in parts if part]
+
+
+def quarter_cuts(mask: Mask) -> tuple[int, tuple[int, int]]:
+    """Where a region's lower half begins, and the right half of its upper and its lower half, to as many pixels each.
+
+    Parameters
+    ----------
+    mask
+        bool (H, W), not empty.
+    """
+    row = _halfway(mask.sum(axis=1))
+    upper, lower = (_halfway(half.sum(axis=0)) for half in (mask[:row], mask[row:]))
+    return row, (upper, lower)
+
+
+def _halfway(counts: NDArray[np.integer]) -> int:
+    """First index of the second half of what is counted."""
+    return int(np.abs(np.cumsum(counts) - counts.sum() / 2).argmin()) + 1

@@ -23,7 +23,7 @@ from workbench.depth.evidence_model import NATIVE_FINER, DepthModel, EvidenceOpt
 from workbench.depth.evidence_periodogram import Pooled, pooled_periodogram
 from workbench.depth.evidence_posterior import Refined
 from workbench.depth.evidence_side import Comparison, compare
-from workbench.depth.evidence_spectrum import PHOTOSITES, SpectralFit, fit_spectra
+from workbench.depth.evidence_spectrum import PHOTOSITES, SpectralFit, TextureSpectrum, fit_spectra
 from workbench.depth.evidence_windows import Window, clear_share, finer_windows, thinned
 from workbench.depth.regions import bounding_box
 
@@ -192,21 +192,28 @@ def compare_sides(
 
 
 def _compare(view: View, row: int, model: DepthModel, options: EvidenceOptions) -> Comparison:
-    radius = abs(float(model.row_radius_px[row]))
-    psfs: list[NDArray[np.float32]] = []
-    for sign in (1.0, -1.0):
-        if sign * radius < model.farthest_px:
-            psfs.append(model.psf_at(sign * radius, view.finer))
-        else:
-            psfs.append((psfs[0] if psfs else model.psf_at(-radius, view.finer))[::-1, ::-1])
     good = [w for w in view.windows if w.weight >= 0.6 * view.windows[0].weight]
     most = options.side_windows
     if view.finer > 1 and len(good) > most:
         most = min(most, _NATIVE_SIDE_WINDOWS)
-    chosen = thinned(good, most)
-    clue = compare(view.plane, view.soft, chosen, psfs, view.fit.texture(row))
+    return compare_windows(
+        view, thinned(good, most), abs(float(model.row_radius_px[row])), view.fit.texture(row), model
+    )
+
+
+def compare_windows(
+    view: View, windows: Sequence[Window], radius_px: float, texture: TextureSpectrum, model: DepthModel
+) -> Comparison:
+    """How sparse the far and the near side's restorations of some windows are, for one |radius| (superpixels)."""
+    psfs: list[NDArray[np.float32]] = []
+    for sign in (1.0, -1.0):
+        if sign * radius_px < model.farthest_px:
+            psfs.append(model.psf_at(sign * radius_px, view.finer))
+        else:
+            psfs.append((psfs[0] if psfs else model.psf_at(-radius_px, view.finer))[::-1, ::-1])
+    clue = compare(view.plane, view.soft, windows, psfs, texture)
     # next to focus the lens's own spot hides the aperture's shape, and with it the side
-    shown = -np.expm1(-((radius / _SHAPELESS_PX[view.finer]) ** 2))
+    shown = -np.expm1(-((radius_px / _SHAPELESS_PX[view.finer]) ** 2))
     # near the edge a restoration lacks what the blur carried out of the region
-    trust = min(1.0, _EDGE_TRUST + clear_share(view.clear, chosen, 2.0 * radius * view.finer))
+    trust = min(1.0, _EDGE_TRUST + clear_share(view.clear, windows, 2.0 * radius_px * view.finer))
     return Comparison(clue.sparse, shown * trust * clue.favour)
