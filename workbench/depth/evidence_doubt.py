@@ -11,13 +11,12 @@ from scipy.special import expit
 
 from workbench.depth.estimate import DepthEstimate
 from workbench.depth.evidence_model import DepthModel, EvidenceOptions
+from workbench.depth.evidence_posterior import open_sides
 from workbench.depth.evidence_uniform import Reading
 
 FloatArray = NDArray[np.float64]
 
 _SAME_PX, _APART_PX = 1.0, 2.0
-_OPEN_SIDE = 3.0
-"""A side of focus stays open if sparseness speaks against it by less than so many nats."""
 _EITHER_SIDE_PX = 2.0
 """An interval that reaches farther than this to both sides of focus names neither."""
 _RIVAL_PX = 0.5
@@ -86,7 +85,7 @@ def unless_another_blur_fits(
         low, high = sorted((float(radius[row]) + 0.5, chosen + 0.5))
         apart = high / low > options.close_ratio and high - low > _APART_PX
         if apart and likelihood[row] > own - options.close_log_likelihood:
-            rivals += _signed(float(radius[row]), sides[0][index], sides[1][index], model.sides_in_reach[row])
+            rivals += open_sides(float(radius[row]), sides[0][index], sides[1][index], model.sides_in_reach[row])
     if not rivals:
         return estimate
     ends = [model.depth_mm(sigma + step) for sigma in rivals for step in (-_RIVAL_PX, _RIVAL_PX)]
@@ -144,10 +143,3 @@ def unless_on_either_side(estimate: DepthEstimate, model: DepthModel) -> DepthEs
     if estimate.status != "ok" or nearer > -_EITHER_SIDE_PX or farther < _EITHER_SIDE_PX:
         return estimate
     return doubted(estimate, "its side of focus is open: every blur within its interval fits")
-
-
-def _signed(radius: float, far: float, near: float, in_reach: NDArray[np.bool_]) -> list[float]:
-    """Signed radii of a rival, likelier side first; the less likely one only where it stays open."""
-    scores = [(far, radius, bool(in_reach[0])), (near, -radius, bool(in_reach[1]))]
-    open_sides = sorted(((score, sigma) for score, sigma, reachable in scores if reachable), reverse=True)
-    return [sigma for score, sigma in open_sides if score > open_sides[0][0] - _OPEN_SIDE]

@@ -27,6 +27,9 @@ _LINES_PX, _LINES_FROM = 0.45, 0.25
 """A pattern's few spectral lines have heights of their own, which pass for blur: standard error of the radius per share
 of the texture's power that they hold beyond so much."""
 
+_OPEN_SIDE = 3.0
+"""A side of focus stays open if it is less likely by less than so many nats."""
+
 
 def mode_scores(
     clues: Sequence[Comparison], mirrored: Mask, pixels: float, learned: Learned
@@ -58,6 +61,23 @@ def mode_scores(
 def side_odds(clues: Sequence[Comparison], learned: Learned) -> FloatArray:
     """Log-odds of the far side against the near one at each mode, float64 (M,)."""
     return np.asarray(np.stack([clue.favour for clue in clues]) @ np.array(learned.side_weights))
+
+
+def open_sides(radius_px: float, far: float, near: float, in_reach: Mask) -> list[float]:
+    """Signed radii of a blur on the sides of focus that stay open, the likelier one first.
+
+    Parameters
+    ----------
+    radius_px
+        Its |radius|.
+    far, near
+        Log-probabilities of its sides, but for a constant.
+    in_reach
+        bool (2,): whether the bank reaches the far and the near one.
+    """
+    scores = [(far, radius_px, bool(in_reach[0])), (near, -radius_px, bool(in_reach[1]))]
+    sides = sorted(((score, sigma) for score, sigma, reachable in scores if reachable), reverse=True)
+    return [sigma for score, sigma in sides if score > sides[0][0] - _OPEN_SIDE]
 
 
 def find_modes(

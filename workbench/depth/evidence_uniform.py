@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from workbench.depth.evidence_expected import mixed_power, smeared_power
 from workbench.depth.evidence_model import DepthModel, EvidenceOptions, Learned
 from workbench.depth.evidence_periodogram import Pooled, pooled_periodogram
-from workbench.depth.evidence_posterior import log_prior
+from workbench.depth.evidence_posterior import log_prior, open_sides, side_odds
 from workbench.depth.evidence_spectrum import SpectralFit, fit_spectra
 from workbench.depth.evidence_view import View, compare_windows
 from workbench.depth.evidence_windows import Window, thinned
@@ -39,8 +39,6 @@ _MOST_AVERAGES = 12.0
 _SAME_PX, _SAME_SHARE = 2.0, 0.05
 _HELD = 1.92
 """Log-likelihood below the best within which a blur stays possible: half of chi-squared's 95 % at one freedom."""
-_OPEN_SIDE = 3.0
-"""A side of focus stays open if it is less likely by less than so many nats."""
 
 
 def mixture_gain(
@@ -150,21 +148,14 @@ def _read(part: Part, view: View, model: DepthModel, learned: Learned, options: 
     about = slice(max(best - 1, 0), best + 2)
     weight = np.exp(likelihood[about] - likelihood[best])
     centre = float(radius[about] @ weight / weight.sum())
-    held = radius[likelihood > likelihood[best] - _HELD]
-    half = 0.5 * float(np.abs(np.diff(radius)).max())
-    reach = float(model.sigma_px[-1]), float(-model.sigma_px[0])  # far, near
     clue = compare_windows(view, thinned(part.windows, _SIDE_WINDOWS), centre, part.fit.texture(best), model)
     prior = log_prior(model, np.array([centre, -centre]), options.prior_power)
-    odds = float(clue.favour @ np.array(learned.side_weights) + prior[0] - prior[1])
-    possible = [(sign * odds, sign) for sign, end in zip((1.0, -1.0), reach, strict=True) if centre <= end]
-    likeliest = max(possible)[1]
-    ends = [
-        float(np.clip(sign * (end + step), model.sigma_px[0], model.sigma_px[-1]))
-        for end, step in ((held.min(), -half), (held.max(), half))
-        for favour, sign in possible
-        if favour > -_OPEN_SIDE or sign == likeliest
-    ]
-    return Reading(model.depth_mm(likeliest * centre), (model.depth_mm(min(ends)), model.depth_mm(max(ends))))
+    odds = float(side_odds([clue], learned)[0] + prior[0] - prior[1])
+    sides = open_sides(centre, odds, 0.0, model.sides_in_reach[_ROWS][best])
+    held = radius[likelihood > likelihood[best] - _HELD]
+    half = 0.5 * _ROWS.step * options.radius_step_px
+    ends = np.outer(np.sign(sides), (held.min() - half, held.max() + half)).clip(model.sigma_px[0], model.sigma_px[-1])
+    return Reading(model.depth_mm(sides[0]), (model.depth_mm(ends.min()), model.depth_mm(ends.max())))
 
 
 def _by_quarter(windows: Sequence[Window], mask: Mask) -> list[list[Window]]:
