@@ -85,14 +85,13 @@ def unless_another_blur_fits(
         low, high = sorted((float(radius[row]) + 0.5, chosen + 0.5))
         apart = high / low > options.close_ratio and high - low > _APART_PX
         if apart and likelihood[row] > own - options.close_log_likelihood:
-            rivals += open_sides(float(radius[row]), sides[0][index], sides[1][index], model.sides_in_reach[row])
+            odds = float(sides[0][index] - sides[1][index])
+            rivals += open_sides(float(radius[row]), odds, model.sides_in_reach[row], model, options)
     if not rivals:
         return estimate
-    ends = [model.depth_mm(sigma + step) for sigma in rivals for step in (-_RIVAL_PX, _RIVAL_PX)]
-    reach = float(model.depths_mm[0]), float(model.depths_mm[-1])
-    held = [min(max(end, reach[0]), reach[1]) if end > 0 else reach[1] for end in ends]
+    held = model.depth_within_mm(np.add.outer(rivals, (-_RIVAL_PX, _RIVAL_PX)))
     low_mm, high_mm = estimate.interval_mm
-    wider = replace(estimate, interval_mm=(min(low_mm, *held), max(high_mm, *held)))
+    wider = replace(estimate, interval_mm=(min(low_mm, float(held.min())), max(high_mm, float(held.max()))))
     return doubted(wider, f"its spectrum fits the blur of {model.depth_mm(rivals[0]) / 10:.0f} cm nearly as well")
 
 
@@ -128,7 +127,7 @@ def unless_beyond_reach(
     mirrored = [model.depth_mm(min(-model.psfs.radius_px(end), model.farthest_px)) for end in estimate.interval_mm]
     held = (min(*estimate.interval_mm, *mirrored), max(*estimate.interval_mm, *mirrored))
     where = "last" if sigma < 0 else "first"
-    end = float(model.depths_mm[-1 if sigma < 0 else 0]) / 10
+    end = float(model.depth_within_mm(model.planes_px[1 if sigma < 0 else 0])) / 10
     wider = replace(estimate, mirror_mm=mirror, mirror_probability=float(expit(against)), interval_mm=held)
     reason = (
         f"may as well be at {mirror / 10:.0f} cm, beyond the bank's {where} plane ({end:.0f} cm): "

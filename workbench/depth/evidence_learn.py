@@ -20,7 +20,7 @@ from scipy.special import logsumexp
 from calibration.bank import Bank
 from workbench.depth.evidence import observe
 from workbench.depth.evidence_model import LEARNED, DepthModel, EvidenceOptions, Learned, prepare
-from workbench.depth.evidence_posterior import find_modes, mode_scores
+from workbench.depth.evidence_posterior import find_modes, mode_scores, peak_of
 from workbench.depth.evidence_side import FAMILIES, STATISTICS, Comparison
 from workbench.depth.evidence_textures import random_texture
 from workbench.depth.evidence_view import compare_sides
@@ -154,21 +154,8 @@ def _draw(bank: Bank, model: DepthModel, options: EvidenceOptions, generator: np
     both = abs(sigma) < tolerance  # at focus either side is right
     true = np.stack([at_radius & (both or sigma > 0), at_radius & (both or sigma < 0)], axis=1)
     possible = model.sides_in_reach[modes]
-    error, curvature = _peak(likelihood, radius, peak)
+    error, curvature = peak_of(likelihood, radius, peak)
     return _Sample(likelihood[modes], clues, possible, seen.pixels, true & possible, error - abs(sigma), curvature)
-
-
-def _peak(likelihood: FloatArray, radius: FloatArray, row: int) -> tuple[float, float]:
-    """Radius and curvature of the parabola through a maximum; NaN at the grid's end."""
-    if not 0 < row < radius.size - 1:
-        return float("nan"), 0.0
-    step = float(abs(radius[row] - radius[row - 1]))
-    before, top, after = (float(v) for v in likelihood[row - 1 : row + 2])
-    bend = before - 2 * top + after
-    if bend >= 0:
-        return float("nan"), 0.0
-    shift = 0.5 * (before - after) / bend * float(np.sign(radius[row + 1] - radius[row]))
-    return float(radius[row] + shift * step), -bend / step**2
 
 
 def _photograph(side: int, psf: NDArray[np.float32], generator: np.random.Generator) -> NDArray[np.float32]:

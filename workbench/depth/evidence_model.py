@@ -21,7 +21,7 @@ LEARNED = "evidence_learned_2"
 """Name of :class:`Learned` among a bank's extras."""
 NATIVE_FINER = 2
 """Photosites a superpixel is wide."""
-BEYOND_PX = 0.5
+_BEYOND_PX = 0.5
 """The grid of radii reaches so far beyond the bank's planes, so that a depth at their end has two sides."""
 _FARTHEST = 0.98
 _LEAST_NATIVE_ROWS = 6
@@ -194,6 +194,8 @@ class DepthModel:
         float64 (G,): ascending grid of signed radii.
     depths_mm
         float64 (G,): their depths.
+    planes_px
+        Signed radii of the bank's first and last plane; the grid reaches somewhat farther.
     row_of
         intp (G,): row of ``kernel_lags`` for each signed radius.
     row_radius_px
@@ -209,6 +211,7 @@ class DepthModel:
     psfs: PsfModel
     sigma_px: FloatArray
     depths_mm: FloatArray
+    planes_px: tuple[float, float]
     row_of: NDArray[np.intp]
     row_radius_px: FloatArray
     row_sigma_px: FloatArray
@@ -234,6 +237,10 @@ class DepthModel:
         """Depth of a signed radius."""
         return float(_depths_of(self.psfs, np.float64(sigma_px)))
 
+    def depth_within_mm(self, sigma_px: FloatArray | float) -> FloatArray:
+        """Depths of signed radii, those beyond the bank's planes put on them; float64 like ``sigma_px``."""
+        return _depths_of(self.psfs, np.clip(sigma_px, *self.planes_px))
+
     def psf_at(self, sigma_px: float, finer: int = 1) -> NDArray[np.float32]:
         """PSF of a signed radius, float32 (K, K); ``finer`` is the number of pixels a superpixel is wide."""
         psfs, lags = self._at_pitch(finer)
@@ -253,12 +260,12 @@ class DepthModel:
 def prepare(bank: Bank, options: EvidenceOptions, field_index: int | None = None) -> DepthModel:
     """Compute the autocorrelations of a bank's PSFs on a fine grid of radii.
 
-    The grid reaches :data:`BEYOND_PX` beyond the bank's planes.
+    The grid reaches half a pixel of radius beyond the bank's planes, so that a depth at their end has two sides.
     """
     psfs = psf_model(bank, field_index)
     nearest, farthest = psfs.radius_px(float(bank.depths_mm[0])), psfs.radius_px(float(bank.depths_mm[-1]))
     step = options.radius_step_px
-    low, high = int(np.floor((nearest - BEYOND_PX) / step)), int(np.ceil((farthest + BEYOND_PX) / step))
+    low, high = int(np.floor((nearest - _BEYOND_PX) / step)), int(np.ceil((farthest + _BEYOND_PX) / step))
     index = np.arange(low, high + 1)
     sigma = np.asarray((index + 0.5) * step, np.float64)
     if isinstance(psfs, PupilModel):  # the near side is the far side turned over: one row for both
@@ -278,7 +285,7 @@ def prepare(bank: Bank, options: EvidenceOptions, field_index: int | None = None
     native = None
     if isinstance(psfs, PupilModel) and bank.recipe == "superpixel":
         native = _prepare_native(psfs, _depths_of(psfs, rows[radius < options.native_px]), options.native_px, error)
-    return DepthModel(psfs, sigma, depths, row_of, radius, rows, lags, se, error, native)
+    return DepthModel(psfs, sigma, depths, (nearest, farthest), row_of, radius, rows, lags, se, error, native)
 
 
 def _prepare_native(psfs: PupilModel, depths_mm: FloatArray, reach_px: float, error: float) -> NativeModel | None:

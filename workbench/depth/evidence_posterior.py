@@ -11,7 +11,7 @@ from scipy.interpolate import CubicSpline
 from scipy.special import expit
 
 from workbench.depth.estimate import DepthEstimate, Status
-from workbench.depth.evidence_model import BEYOND_PX, NATIVE_FINER, DepthModel, EvidenceOptions, Learned
+from workbench.depth.evidence_model import NATIVE_FINER, DepthModel, EvidenceOptions, Learned
 from workbench.depth.evidence_side import Comparison
 
 FloatArray = NDArray[np.float64]
@@ -63,21 +63,27 @@ def side_odds(clues: Sequence[Comparison], learned: Learned) -> FloatArray:
     return np.asarray(np.stack([clue.favour for clue in clues]) @ np.array(learned.side_weights))
 
 
-def open_sides(radius_px: float, far: float, near: float, in_reach: Mask) -> list[float]:
+def open_sides(
+    radius_px: float, likelihood_odds: float, in_reach: Mask, model: DepthModel, options: EvidenceOptions
+) -> list[float]:
     """Signed radii of a blur on the sides of focus that stay open, the likelier one first.
 
     Parameters
     ----------
     radius_px
         Its |radius|.
-    far, near
-        Log-probabilities of its sides, but for a constant.
+    likelihood_odds
+        Log-odds of the far side against the near one, as sparseness tells. The prior adds to them.
     in_reach
         bool (2,): whether the bank reaches the far and the near one.
+    model, options
+        The bank, made ready, and the prior's power.
     """
-    scores = [(far, radius_px, bool(in_reach[0])), (near, -radius_px, bool(in_reach[1]))]
-    sides = sorted(((score, sigma) for score, sigma, reachable in scores if reachable), reverse=True)
-    return [sigma for score, sigma in sides if score > sides[0][0] - _OPEN_SIDE]
+    prior = log_prior(model, np.array([radius_px, -radius_px]), options.prior_power)
+    odds = likelihood_odds + float(prior[0] - prior[1])
+    sides = [(odds, radius_px, bool(in_reach[0])), (0.0, -radius_px, bool(in_reach[1]))]
+    reached = sorted(((score, sigma) for score, sigma, reachable in sides if reachable), reverse=True)
+    return [sigma for score, sigma in reached if score > reached[0][0] - _OPEN_SIDE]
 
 
 def find_modes(
@@ -94,6 +100,19 @@ def find_modes(
         if all(abs(radius_px[peak] - radius_px[other]) >= gap for other in found):
             found.append(int(peak))
     return found
+
+
+def peak_of(log_likelihood: FloatArray, radius_px: FloatArray, row: int) -> tuple[float, float]:
+    """Radius and curvature of the parabola through a maximum; NaN at the grid's end."""
+    if not 0 < row < radius_px.size - 1:
+        return float("nan"), 0.0
+    step = float(abs(radius_px[row] - radius_px[row - 1]))
+    before, top, after = (float(v) for v in log_likelihood[row - 1 : row + 2])
+    bend = before - 2 * top + after
+    if bend >= 0:
+        return float("nan"), 0.0
+    shift = 0.5 * (before - after) / bend * float(np.sign(radius_px[row + 1] - radius_px[row]))
+    return float(radius_px[row] + shift * step), -bend / step**2
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,8 +156,7 @@ def log_prior(model: DepthModel, sigma_px: FloatArray, power: float) -> FloatArr
     the radius is as likely as d(log z) / d(1/z) = z, the power 1; evenly spread depths make it z^2, evenly spread radii
     1. Beyond the bank's planes the density stays what it is there.
     """
-    within = np.clip(sigma_px, model.sigma_px[0] + BEYOND_PX, model.sigma_px[-1] - BEYOND_PX)
-    return power * np.log(np.interp(within, model.sigma_px, model.depths_mm))
+    return power * np.log(model.depth_within_mm(sigma_px))
 
 
 def summarise(
@@ -174,11 +192,12 @@ def summarise(
     order = np.argsort(masses)[::-1]
     first, last = modes[int(order[0])]
     share = density[first:last] / density[first:last].sum()
-    centre = float((share * sigma[first:last]).sum())
+    centre = min(float((share * sigma[first:last]).sum()), model.farthest_px)
     depth = model.depth_mm(centre)
     low, high = _hull(density, 0.95)
     # at the end of the bank's reach the depth is known no better than elsewhere
-    ends = np.clip([sigma[low] - step / 2, sigma[high] + step / 2], sigma[0] - 2 * se, sigma[-1] + 2 * se)
+    farthest = min(sigma[-1] + 2 * se, model.farthest_px)
+    ends = np.clip([sigma[low] - step / 2, sigma[high] + step / 2], sigma[0] - 2 * se, farthest)
     interval = sorted(model.depth_mm(float(end)) for end in ends)
     mirror, mirror_probability = float("nan"), 0.0
     if abs(centre) > 2 * se and sigma[0] <= -centre <= sigma[-1]:

@@ -15,18 +15,17 @@ from numpy.typing import NDArray
 from workbench.depth.evidence_expected import mixed_power, smeared_power
 from workbench.depth.evidence_model import DepthModel, EvidenceOptions, Learned
 from workbench.depth.evidence_periodogram import Pooled, pooled_periodogram
-from workbench.depth.evidence_posterior import log_prior, open_sides, side_odds
+from workbench.depth.evidence_posterior import open_sides, peak_of, side_odds
 from workbench.depth.evidence_spectrum import SpectralFit, fit_spectra
 from workbench.depth.evidence_view import View, compare_windows
 from workbench.depth.evidence_windows import Window, thinned
 
-FloatArray = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 _MOST_WINDOWS, _SIDE_WINDOWS = 20, 9
 """Of a part, for its blur and for its side. More say little new."""
 _OWN = 0.8
-"""Share of a window's taper that lies in the part it counts for; windows across a cut are left out."""
+"""Least share of a window's taper within the part that it counts for; windows across a cut are left out."""
 _CHANCE = 1.0
 """Log-likelihood that a part may lose by chance."""
 _FOCUS_PX, _FOCUS_TRUST = 1.0, 0.1
@@ -64,7 +63,7 @@ def mixture_gain(
 
 @dataclass(frozen=True, slots=True)
 class Part:
-    """A part of a region: windows that see nothing else of it, and what they say of every third blur of the model."""
+    """A part of a region: windows that lie in it, all but, and what they say of every third blur of the model."""
 
     windows: list[Window]
     fit: SpectralFit
@@ -145,24 +144,22 @@ def _read(part: Part, view: View, model: DepthModel, learned: Learned, options: 
     radius = np.abs(model.row_radius_px[_ROWS])
     likelihood = learned.temperature * part.fit.log_likelihood
     best = int(likelihood.argmax())
-    about = slice(max(best - 1, 0), best + 2)
-    weight = np.exp(likelihood[about] - likelihood[best])
-    centre = float(radius[about] @ weight / weight.sum())
+    centre = peak_of(likelihood, radius, best)[0]
+    centre = float(radius[best]) if np.isnan(centre) else centre
     clue = compare_windows(view, thinned(part.windows, _SIDE_WINDOWS), centre, part.fit.texture(best), model)
-    prior = log_prior(model, np.array([centre, -centre]), options.prior_power)
-    odds = float(side_odds([clue], learned)[0] + prior[0] - prior[1])
-    sides = open_sides(centre, odds, 0.0, model.sides_in_reach[_ROWS][best])
+    odds = float(side_odds([clue], learned)[0])
+    sides = open_sides(centre, odds, model.sides_in_reach[_ROWS][best], model, options)
     held = radius[likelihood > likelihood[best] - _HELD]
     half = 0.5 * _ROWS.step * options.radius_step_px
-    ends = np.outer(np.sign(sides), (held.min() - half, held.max() + half)).clip(model.sigma_px[0], model.sigma_px[-1])
-    return Reading(model.depth_mm(sides[0]), (model.depth_mm(ends.min()), model.depth_mm(ends.max())))
+    ends = model.depth_within_mm(np.outer(np.sign(sides), (held.min() - half, held.max() + half)))
+    return Reading(float(model.depth_within_mm(sides[0])), (float(ends.min()), float(ends.max())))
 
 
 def _by_quarter(windows: Sequence[Window], mask: Mask) -> list[list[Window]]:
     """Windows that lie in one of the region's quarters, quarter by quarter, spread over it; empty ones left out."""
     row, columns = quarter_cuts(mask)
     parts: list[list[Window]] = [[] for _ in range(4)]
-    for window in windows[:: -(-len(windows) // (8 * _MOST_WINDOWS))]:
+    for window in thinned(windows, 8 * _MOST_WINDOWS):
         energy = window.taper**2
         above = max(row - window.row, 0)
         for half, (rows, column) in enumerate(zip((energy[:above], energy[above:]), columns, strict=True)):

@@ -9,14 +9,16 @@ import pytest
 from scipy import ndimage
 
 from calibration.bank import Bank
+from calibration.lens_fit import fit_lens
 from calibration.pupil import fit_pupil
-from tests.unit.depth_evidence.synthetic import as_image, leaves, make_bank, photograph
+from tests.unit.depth_evidence.synthetic import as_image, draw_psf, leaves, make_bank, photograph, radius_px
 from workbench.depth.evidence import EvidenceOptions, estimate_evidence, prepare
 from workbench.depth.evidence_colour import informative_mixture
 from workbench.depth.evidence_doubt import unless_on_either_side
 from workbench.depth.evidence_expected import mixed_power
 from workbench.depth.evidence_learn import learn
 from workbench.depth.evidence_model import LEARNED, Learned
+from workbench.depth.evidence_posterior import log_prior
 from workbench.depth.regions import whole
 
 SIDE = 128 + 40
@@ -233,3 +235,47 @@ def test_windows_of_any_side_can_be_compared(bank: Bank) -> None:
     for side in (132, 140):
         found = estimate_evidence(image, bank, mask, EvidenceOptions(window_px=side))[1]
         assert found.interval_mm[0] <= 2400.0 <= found.interval_mm[1]
+
+
+@pytest.mark.parametrize("power", [0.0, 1.0, 2.0])
+def test_prior_weighs_depths_as_its_power_says_and_is_even_beyond_the_planes(bank: Bank, power: float) -> None:
+    model = prepare(bank, EvidenceOptions())
+    near, far = 1050.0, 3300.0
+    sigma = np.array([model.psfs.radius_px(z) for z in (near, far)])
+    found = log_prior(model, sigma, power)
+    assert found[1] - found[0] == pytest.approx(power * np.log(far / near), rel=1e-6)
+    first, last = model.planes_px
+    assert log_prior(model, np.array([first - 0.4, last + 0.4]), power) == pytest.approx(
+        log_prior(model, np.array([first, last]), power)
+    )
+
+
+def test_texture_without_a_side_is_taken_for_the_farther_by_the_ratio_of_the_two(bank: Bank) -> None:
+    """Gaussian noise at 115 cm or 263: odds of 2.3 to 1, evenly spread radii even ones."""
+    image = photograph(0.5 + 0.1 * np.random.default_rng(7).standard_normal((SIDE, SIDE)), 1150.0)
+    odds = {}
+    for power in (0.0, 1.0, 2.0):
+        found = estimate_evidence(image, bank, whole(image.shape), EvidenceOptions(prior_power=power))[1]
+        far = float(found.score[found.depths_mm > 1800.0].sum())
+        odds[power] = np.log(far / float(found.score[found.depths_mm < 1400.0].sum()))
+    assert odds[1.0] - odds[0.0] == pytest.approx(np.log(2630 / 1150), abs=0.15)
+    assert odds[2.0] - odds[0.0] == pytest.approx(2 * np.log(2630 / 1150), abs=0.3)
+
+
+@pytest.mark.parametrize("last_mm", [20000.0, 35000.0, 50000.0])
+def test_bank_that_reaches_near_infinity_measures(last_mm: float) -> None:
+    """Its grid of radii ends beyond the radius at infinity."""
+    depths = 1.0 / np.linspace(1 / 700.0, 1 / last_mm, 24)
+    psf = np.array([draw_psf(float(z)) for z in depths])
+    radii = np.array([radius_px(float(z)) for z in depths])
+    lens = fit_lens(depths, radii, np.full(depths.size, 0.02), apply_zero=False)
+    error = np.maximum(1e-3 * psf, 1e-6)
+    extras = fit_pupil(depths, psf, error, lens).as_arrays()
+    bank = Bank(depths, psf[np.newaxis].astype(np.float32), error[np.newaxis].astype(np.float32),
+                np.zeros((1, 2)), lens, "superpixel", 0.0086, extras=extras)  # fmt: skip
+    image = photograph(leaves(SIDE, 3), 2400.0)
+    found = estimate_evidence(image, bank, whole(image.shape))[1]
+    assert found.depth_mm == pytest.approx(2400.0, rel=0.03)
+    image = photograph(leaves(SIDE, 4), 19000.0)
+    found = estimate_evidence(image, bank, whole(image.shape))[1]
+    assert 0 < found.interval_mm[0] <= 19000.0 <= found.interval_mm[1]

@@ -13,9 +13,10 @@ from calibration.image import LinearImage
 from calibration.pupil import fit_pupil
 from tests.unit.depth_evidence.synthetic import as_image, leaves, make_bank, photograph
 from workbench.depth.estimate import DepthEstimate
-from workbench.depth.evidence import EvidenceOptions, estimate_evidence, prepare
+from workbench.depth.evidence import EvidenceOptions, estimate_evidence, observe, prepare
 from workbench.depth.evidence_doubt import uneven
-from workbench.depth.evidence_uniform import Reading, fit_parts, parts_loss, quarter_cuts
+from workbench.depth.evidence_model import Learned
+from workbench.depth.evidence_uniform import Reading, fit_parts, parts_loss, quarter_cuts, read_parts
 from workbench.depth.evidence_windows import place_windows, soft_mask
 from workbench.depth.regions import whole
 
@@ -147,3 +148,38 @@ def test_readings_widen_the_interval_and_are_named(bank: Bank) -> None:
     assert found.depth_mm == entire.depth_mm
     assert found.reason.endswith("(its parts read 120, 300 cm)")
     assert uneven(entire, [near] * 4).interval_mm == (1191.0, entire.interval_mm[1])
+
+
+def test_region_whose_half_windows_all_lie_on_its_edge_has_no_parts(bank: Bank) -> None:
+    """A T: windows of 128 pixels see enough of it, none of 64 does."""
+    image = photograph(leaves(600, 3), 2400.0)
+    mask = np.zeros(image.shape, np.int32)
+    mask[97:139, 20:520] = 1
+    mask[70:166, 40:62] = 1
+    found = estimate_evidence(image, bank, mask)[1]
+    assert found.interval_mm[0] <= 2400.0 <= found.interval_mm[1]
+
+
+def test_windows_of_a_part_are_spread_over_it(bank: Bank) -> None:
+    image = as_image(np.tile(photograph(leaves(SIDE + 128, 3), 2400.0).planes, (2, 4, 1)))
+    mask, options = np.ones(image.shape, bool), EvidenceOptions()
+    windows = place_windows(mask, soft_mask(mask, margin_px=0, ramp_px=1)[0], 64, least_weight=0.3)
+    assert len(windows) > 160
+    for part in fit_parts(image.luminance, windows, mask, prepare(bank, options), options):
+        assert len({w.row for w in part.windows}) >= 3
+        assert len({w.column for w in part.windows}) >= 5
+
+
+def test_reading_of_a_part_lies_within_the_planes_and_leaves_the_side_out_that_is_not_open(bank: Bank) -> None:
+    """The last plane is at 350 cm."""
+    options, learned = EvidenceOptions(), Learned()
+    model = prepare(bank, options)
+    image = halves(2400.0, 3450.0, along=0, drawn=16)
+    view_of_image = observe(image.luminance, np.ones(image.shape, bool), model, options)
+    assert view_of_image is not None
+    readings = read_parts(view_of_image.parts, view_of_image.view, model, learned, options)
+    assert len(readings) == 4
+    for reading, true_mm in zip(readings, (2400.0, 2400.0, 3450.0, 3450.0), strict=True):
+        assert reading.depth_mm == pytest.approx(true_mm, rel=0.06)
+        low, high = reading.interval_mm
+        assert 1700.0 < low <= true_mm <= high <= 3501.0
