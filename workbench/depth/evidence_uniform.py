@@ -1,7 +1,8 @@
 """Is the blur the same all over a region? A slanted surface or several depths in one region have no single answer.
 
 Two tests, since either alone is blind: a mixture of blurs must not explain the pooled spectrum better than one blur
-does, and the region's parts, each with a texture of its own, must not lose by sharing one blur.
+does, and the region's parts, each with a texture of its own, must not lose by sharing one blur. Where one of them
+fails, the parts are read one by one.
 """
 
 from __future__ import annotations
