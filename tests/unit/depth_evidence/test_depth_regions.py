@@ -2,25 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 from calibration.bank import Bank
 from calibration.image import LinearImage
-from calibration.pupil import fit_pupil
-from tests.unit.depth_evidence.synthetic import FOCUS_MM, as_image, leaves, make_bank, photograph
+from tests.unit.depth_evidence.synthetic import FOCUS_MM, as_image, leaves, photograph
 from workbench.depth.depth_regions import regions_of_one_depth
 
 SIDE = 300
-
-
-@pytest.fixture(scope="module")
-def bank() -> Bank:
-    made = make_bank(step_mm=200.0)
-    pupil = fit_pupil(made.depths_mm, made.psf[0], made.psf_se[0], made.lens)
-    return replace(made, extras=pupil.as_arrays())
 
 
 def side_by_side(left_mm: float, right_mm: float) -> LinearImage:

@@ -11,7 +11,7 @@ from scipy import ndimage
 from calibration.bank import Bank
 from calibration.lens_fit import fit_lens
 from calibration.pupil import fit_pupil
-from tests.unit.depth_evidence.synthetic import as_image, draw_psf, leaves, make_bank, photograph, radius_px
+from tests.unit.depth_evidence.synthetic import as_image, draw_psf, leaves, photograph, radius_px
 from workbench.depth.evidence import EvidenceOptions, estimate_evidence, prepare
 from workbench.depth.evidence_colour import informative_mixture
 from workbench.depth.evidence_doubt import unless_on_either_side
@@ -22,13 +22,6 @@ from workbench.depth.evidence_posterior import log_prior
 from workbench.depth.regions import whole
 
 SIDE = 128 + 40
-
-
-@pytest.fixture(scope="module")
-def bank() -> Bank:
-    made = make_bank(step_mm=200.0)
-    pupil = fit_pupil(made.depths_mm, made.psf[0], made.psf_se[0], made.lens)
-    return replace(made, extras=pupil.as_arrays())
 
 
 @pytest.mark.parametrize("depth_mm", [800.0, 950.0, 1250.0, 2150.0, 2900.0])

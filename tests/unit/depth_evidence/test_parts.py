@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import re
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from calibration.bank import Bank
 from calibration.image import LinearImage
-from calibration.pupil import fit_pupil
-from tests.unit.depth_evidence.synthetic import as_image, leaves, make_bank, photograph
+from tests.unit.depth_evidence.synthetic import as_image, leaves, photograph
 from workbench.depth.estimate import DepthEstimate
 from workbench.depth.evidence import EvidenceOptions, estimate_evidence, observe, prepare
 from workbench.depth.evidence_doubt import uneven
@@ -21,13 +19,6 @@ from workbench.depth.evidence_windows import place_windows, soft_mask
 from workbench.depth.regions import whole
 
 SIDE = 128 + 40
-
-
-@pytest.fixture(scope="module")
-def bank() -> Bank:
-    made = make_bank(step_mm=200.0)
-    pupil = fit_pupil(made.depths_mm, made.psf[0], made.psf_se[0], made.lens)
-    return replace(made, extras=pupil.as_arrays())
 
 
 def parts_read(found: DepthEstimate) -> list[int]:
