@@ -13,6 +13,7 @@ from calibration.bank import Bank
 from calibration.image import FrameInfo, LinearImage
 from calibration.lens_fit import fit_lens
 from calibration.mosaic import Mosaic, superpixels
+from calibration.pupil import fit_pupil
 
 FOCUS_MM, SCALE_PX, HALF = 1600.0, 13.0, 20
 OUTLINE = np.array([[-4.7, -5.2], [4.7, -5.2], [4.7, -2.9], [0.2, 5.2], [-2.7, 5.2], [1.7, -2.9], [-4.7, -2.9]]) / 7.0
@@ -36,8 +37,9 @@ def draw_psf(depth_mm: float, finer: int = 16, *, per_superpixel: int = 1) -> ND
     return psf / psf.sum()
 
 
-def make_bank(step_mm: float = 100.0) -> Bank:
-    depths = np.arange(700.0, 3501.0, step_mm)
+def make_bank(step_mm: float = 100.0, depths_mm: NDArray[np.float64] | None = None) -> Bank:
+    """Planes every so many mm from 70 to 350 cm, or at the depths given."""
+    depths = np.arange(700.0, 3501.0, step_mm) if depths_mm is None else depths_mm
     psf = np.array([draw_psf(z) for z in depths])
     se = np.maximum(1e-3 * psf, 1e-6)
     noisy = psf + se * np.random.default_rng(0).standard_normal(psf.shape)
@@ -48,6 +50,12 @@ def make_bank(step_mm: float = 100.0) -> Bank:
         depths, noisy[np.newaxis].astype(np.float32), se[np.newaxis].astype(np.float32), np.zeros((1, 2)), lens,
         "superpixel", 0.0086,
     )  # fmt: skip
+
+
+def with_pupil(bank: Bank) -> Bank:
+    """The same bank, a model of the aperture fitted to its PSFs."""
+    pupil = fit_pupil(bank.depths_mm, bank.psf[0], bank.psf_se[0], bank.lens)
+    return replace(bank, extras=pupil.as_arrays())
 
 
 def leaves(side: int, seed: int) -> NDArray[np.float64]:

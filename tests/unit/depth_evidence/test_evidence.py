@@ -9,9 +9,7 @@ import pytest
 from scipy import ndimage
 
 from calibration.bank import Bank
-from calibration.lens_fit import fit_lens
-from calibration.pupil import fit_pupil
-from tests.unit.depth_evidence.synthetic import as_image, draw_psf, leaves, photograph, radius_px
+from tests.unit.depth_evidence.synthetic import as_image, leaves, make_bank, photograph, with_pupil
 from workbench.depth.evidence import EvidenceOptions, estimate_evidence, prepare
 from workbench.depth.evidence_colour import informative_mixture
 from workbench.depth.evidence_doubt import unless_on_either_side
@@ -258,14 +256,7 @@ def test_texture_without_a_side_is_taken_for_the_farther_by_the_ratio_of_the_two
 @pytest.mark.parametrize("last_mm", [20000.0, 35000.0, 50000.0])
 def test_bank_that_reaches_near_infinity_measures(last_mm: float) -> None:
     """Its grid of radii ends beyond the radius at infinity."""
-    depths = 1.0 / np.linspace(1 / 700.0, 1 / last_mm, 24)
-    psf = np.array([draw_psf(float(z)) for z in depths])
-    radii = np.array([radius_px(float(z)) for z in depths])
-    lens = fit_lens(depths, radii, np.full(depths.size, 0.02), apply_zero=False)
-    error = np.maximum(1e-3 * psf, 1e-6)
-    extras = fit_pupil(depths, psf, error, lens).as_arrays()
-    bank = Bank(depths, psf[np.newaxis].astype(np.float32), error[np.newaxis].astype(np.float32),
-                np.zeros((1, 2)), lens, "superpixel", 0.0086, extras=extras)  # fmt: skip
+    bank = with_pupil(make_bank(depths_mm=1.0 / np.linspace(1 / 700.0, 1 / last_mm, 24)))
     image = photograph(leaves(SIDE, 3), 2400.0)
     found = estimate_evidence(image, bank, whole(image.shape))[1]
     assert found.depth_mm == pytest.approx(2400.0, rel=0.03)

@@ -10,8 +10,7 @@ import pytest
 from calibration.bank import Bank
 from calibration.image import LinearImage
 from calibration.mosaic import Mosaic, superpixels
-from calibration.pupil import fit_pupil
-from tests.unit.depth_evidence.synthetic import HALF, as_image, leaves, make_bank, photograph_mosaic
+from tests.unit.depth_evidence.synthetic import HALF, as_image, leaves, make_bank, photograph_mosaic, with_pupil
 from workbench.depth.estimate import DepthEstimate
 from workbench.depth.evidence import EvidenceOptions, estimate_evidence
 from workbench.depth.evidence_windows import Window, thinned
@@ -23,9 +22,7 @@ NEAR_FOCUS_MM = (1430.0, 1480.0, 1720.0, 1780.0)
 
 @pytest.fixture(scope="module")
 def bank() -> Bank:
-    made = make_bank()
-    pupil = fit_pupil(made.depths_mm, made.psf[0], made.psf_se[0], made.lens)
-    return replace(made, extras=pupil.as_arrays())
+    return with_pupil(make_bank())
 
 
 @pytest.fixture(scope="module")
