@@ -2,7 +2,8 @@
 
 Two grey objects that touch are one region to any segmentation by colour, and a page of text is many. Their blur tells:
 the likelihood of every blur radius is computed in windows on a coarse grid over the whole frame; neighbouring cells are
-merged, the most compatible first, as long as one common radius explains both nearly as well as one radius each. The
+merged, the most compatible first, as long as one common radius explains both nearly as well as one radius each. Small
+windows see little of their neighbours, and often little else; what goes with anything goes with its own colour. The
 outlines come from the colour regions: one that lies within one piece goes to it as a whole, one that spans several is
 cut along the grid. Radii are compared without their side of focus first, which single windows can't tell; then what
 has one radius is merged anew by its side, so that two objects at mirror depths don't stay one.
@@ -29,6 +30,10 @@ FloatArray = NDArray[np.float64]
 Labels = NDArray[np.int32]
 
 
+_CHANCE = 1.0
+"""Log-likelihood that pieces of one blur lose by chance: all that lose less are equally compatible."""
+_DARKEST = 1e-3
+"""Least value of a colour, relative to the picture's mean."""
 _WINDOW_SHARE = 0.37
 """Area of a window of which its taper makes use: the squared mean of a Hann taper's energy, both ways."""
 
@@ -41,6 +46,7 @@ class DepthRegionOptions:
     ----------
     window_px
         Side of the windows; only the lower half of their frequencies is used, which is a quarter of the work.
+        Large ones see across outlines, into a sharper neighbour say, small ones may hold no edge.
     least_cell_px, most_cells
         Spacing of the grid: at least so many pixels, and at most so many cells along the longer side.
     radius_step_px
@@ -55,7 +61,7 @@ class DepthRegionOptions:
         Connected parts smaller than this part of the frame go to their neighbour.
     """
 
-    window_px: int = 128
+    window_px: int = 64
     least_cell_px: int = 48
     most_cells: int = 20
     radius_step_px: float = 1.0
@@ -97,13 +103,14 @@ def regions_of_one_depth(
     windows = _cell_windows(image.shape, cell, shape, options)
     likelihood = _cell_likelihoods(image.luminance, windows, model)
     whole = np.zeros(len(windows), np.int32)
-    alike = _merge(likelihood, shape, whole, options.tolerance, options.least_cells)
+    colours = _cell_colours(image.planes, cell)
+    alike = _merge(likelihood, colours, shape, whole, options.tolerance, options.least_cells)
     overlap = min(1.0, (cell / options.window_px) ** 2 / _WINDOW_SHARE)
     sides = side_likelihoods(
         image.luminance, windows, alike, likelihood, model, learned_of(bank),
         least_cells=options.least_cells, overlap=overlap,
     )  # fmt: skip
-    pieces = _merge(sides, shape, alike, options.side_tolerance, options.least_cells).reshape(shape)
+    pieces = _merge(sides, colours, shape, alike, options.side_tolerance, options.least_cells).reshape(shape)
     by_pixel = pieces.repeat(cell, axis=0)[:height].repeat(cell, axis=1)[:, :width]
     return _by_size(_with_outlines(by_pixel, labels, options.whole_share), options.least_fraction)
 
@@ -133,6 +140,15 @@ def _cell_likelihoods(plane: NDArray[np.float32], windows: list[Window], model: 
     return np.stack(result)
 
 
+def _cell_colours(planes: NDArray[np.float32], cell: int) -> FloatArray:
+    """Log of each cell's mean colour, float64 (cells, C)."""
+    rows, columns = (np.arange(0, length, cell) for length in planes.shape[:2])
+    sums = np.add.reduceat(np.add.reduceat(planes, rows, axis=0, dtype=np.float64), columns, axis=1)
+    sizes = np.outer(*(np.diff(np.append(starts, n)) for starts, n in zip((rows, columns), planes.shape, strict=False)))
+    means = (sums / sizes[..., np.newaxis]).reshape(-1, planes.shape[2])
+    return np.asarray(np.log(np.maximum(means, _DARKEST * means.mean() + 1e-12)))
+
+
 def _corners(cells: int, cell: int, size: int, length: int) -> list[int]:
     centres = (np.minimum(np.arange(1, cells + 1) * cell, length) + np.arange(cells) * cell) / 2
     return [int(np.clip(round(c - size / 2), 0, length - size)) for c in centres]
@@ -146,9 +162,17 @@ def _low_half(power: NDArray[np.floating]) -> NDArray[np.floating]:
 
 
 def _merge(
-    likelihood: FloatArray, shape: tuple[int, int], within: NDArray[np.int32], tolerance: float, least_cells: int
+    likelihood: FloatArray,
+    colours: FloatArray,
+    shape: tuple[int, int],
+    within: NDArray[np.int32],
+    tolerance: float,
+    least_cells: int,
 ) -> NDArray[np.int32]:
-    """Agglomerate neighbouring cells of the same ``within``; returns the piece of each cell, numbered from 1."""
+    """Agglomerate neighbouring cells of the same ``within``; returns the piece of each cell, numbered from 1.
+
+    The most compatible go first; of those that are equally so, those of the most similar colours.
+    """
     total = likelihood.shape[0]
     number = np.arange(total).reshape(shape)
     adjacent: dict[int, set[int]] = {index: set() for index in range(total)}
@@ -158,15 +182,16 @@ def _merge(
                 adjacent[i].add(j)
                 adjacent[j].add(i)
     parent = np.arange(total)
-    evidence, best = likelihood.copy(), likelihood.max(axis=1)
+    evidence, best, colour = likelihood.copy(), likelihood.max(axis=1), colours.copy()
     size = np.ones(total, int)
 
-    def loss(first: int, second: int) -> float:
-        return float(best[first] + best[second] - (evidence[first] + evidence[second]).max())
+    def apart(first: int, second: int) -> tuple[float, float]:
+        lost = float(best[first] + best[second] - (evidence[first] + evidence[second]).max())
+        return max(lost, _CHANCE), float(np.abs(colour[first] - colour[second]).max())
 
-    losses = {(i, j): loss(i, j) for i in adjacent for j in adjacent[i] if i < j}
+    losses = {(i, j): apart(i, j) for i in adjacent for j in adjacent[i] if i < j}
     while losses:
-        (keep, gone), smallest = min(losses.items(), key=lambda entry: entry[1])
+        (keep, gone), (smallest, _) = min(losses.items(), key=lambda entry: entry[1])
         if smallest > tolerance:
             # what is too small to stand alone goes to the neighbour that suits it best
             small = {p: v for p, v in losses.items() if min(size[p[0]], size[p[1]]) < least_cells}
@@ -175,13 +200,14 @@ def _merge(
             keep, gone = min(small, key=small.__getitem__)
         evidence[keep] += evidence[gone]
         best[keep] = evidence[keep].max()
+        colour[keep] = (size[keep] * colour[keep] + size[gone] * colour[gone]) / (size[keep] + size[gone])
         size[keep] += size[gone]
         parent[parent == gone] = keep
         adjacent[keep] = (adjacent[keep] | adjacent.pop(gone)) - {keep, gone}
         losses = {pair: value for pair, value in losses.items() if keep not in pair and gone not in pair}
         for other in adjacent[keep]:
             adjacent[other] = (adjacent[other] - {gone}) | {keep}
-            losses[min(keep, other), max(keep, other)] = loss(keep, other)
+            losses[min(keep, other), max(keep, other)] = apart(keep, other)
     return np.asarray(np.unique(parent, return_inverse=True)[1] + 1, np.int32)
 
 
