@@ -26,6 +26,7 @@ from workbench.depth.evidence_doubt import (
     uneven,
     unless_another_blur_fits,
     unless_beyond_reach,
+    unless_halves_disagree,
     unless_on_either_side,
 )
 from workbench.depth.evidence_expected import smeared_power
@@ -34,6 +35,7 @@ from workbench.depth.evidence_periodogram import pooled_periodogram
 from workbench.depth.evidence_posterior import (
     Refined,
     find_modes,
+    half_odds,
     mode_scores,
     side_odds,
     signed_posterior,
@@ -291,6 +293,7 @@ def _conclude(
     estimate = summarise(sigma, log_post, seen.covered, seen.line_share, finer, model, learned, options, diagnostics)
     if is_uneven:
         return estimate
+    estimate = unless_halves_disagree(estimate, modes, half_odds(clues, learned), model)
     estimate = unless_another_blur_fits(estimate, likelihood, modes, (far, near), model, options)
     estimate = unless_beyond_reach(estimate, modes, side_odds(clues, learned), model)
     return unless_on_either_side(estimate, model)

@@ -63,6 +63,11 @@ def side_odds(clues: Sequence[Comparison], learned: Learned) -> FloatArray:
     return np.asarray(np.stack([clue.favour for clue in clues]) @ np.array(learned.side_weights))
 
 
+def half_odds(clues: Sequence[Comparison], learned: Learned) -> FloatArray:
+    """The same by the halves of the region by themselves, float64 (M, 2, 2)."""
+    return np.asarray(np.stack([clue.halves for clue in clues]) @ np.array(learned.side_weights))
+
+
 def open_sides(
     radius_px: float, likelihood_odds: float, in_reach: Mask, model: DepthModel, options: EvidenceOptions
 ) -> list[float]:

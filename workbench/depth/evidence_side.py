@@ -25,6 +25,7 @@ from workbench.depth.evidence_spectrum import TextureSpectrum, frequencies
 from workbench.depth.evidence_windows import Window, cut_out, hann
 
 FloatArray = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 Plane = NDArray[np.float32]
 Complex = NDArray[np.complex64]
 
@@ -62,10 +63,14 @@ class Comparison:
     favour
         float64 (len(STATISTICS),): how many standard errors sparser the first PSF's restoration is, below 4 in size;
         nearer to 0 where there are waves instead of edges to judge by.
+    halves
+        float64 (2, 2, len(STATISTICS)): the same of the upper and the lower half of what was looked at by themselves,
+        and of the left and the right one.
     """
 
     sparse: FloatArray
     favour: FloatArray
+    halves: FloatArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,6 +87,10 @@ class _Moments:
         """Those of one window alone."""
         one = np.s_[:, :, :, index : index + 1]
         return _Moments(self.sparse[one], self.square[one], self.peaked[one], self.weight[index : index + 1])
+
+    def within(self, tiles: Mask) -> _Moments:
+        """Those of some tiles alone, bool (W, tiles, tiles)."""
+        return _Moments(self.sparse * tiles, self.square * tiles, self.peaked * tiles, self.weight * tiles)
 
 
 def compare(
@@ -109,7 +118,8 @@ def compare(
     """
     moments = _moments(plane, soft, windows, psfs, texture)
     moment, square = (m.sum(_ALL_TILES) / moments.weight.sum() for m in (moments.sparse, moments.square))
-    return Comparison(_log_ratio(moment, square, _SPARSE).mean(axis=-1), _favour(moments, windows))
+    halves = np.array([[_favour(moments.within(half), windows) for half in pair] for pair in _halves(windows)])
+    return Comparison(_log_ratio(moment, square, _SPARSE).mean(axis=-1), _favour(moments, windows), halves)
 
 
 def favour_by_window(
@@ -135,10 +145,8 @@ def _favour(moments: _Moments, windows: Sequence[Window]) -> FloatArray:
     The standard error of a ratio of sums over a region follows from the scatter of its linearised parts (Cochran 1977,
     Sampling Techniques, 6.3), here of tiles a quarter of a window wide.
     """
-    tile = windows[0].taper.shape[0] // _TILES
-    top, left = min(w.row for w in windows), min(w.column for w in windows)
-    places = [((w.row - top + tile // 2) // tile, (w.column - left + tile // 2) // tile) for w in windows]
-    rows, columns = (max(place) + _TILES for place in zip(*places, strict=True))
+    places = _places(windows)
+    rows, columns = places.max(axis=0) + _TILES
     square = moments.square.sum(_ALL_TILES)
     trust = _edginess(moments)
     parts = moments.square / (square + _TINY)[..., np.newaxis, np.newaxis, np.newaxis]
@@ -156,6 +164,25 @@ def _favour(moments: _Moments, windows: Sequence[Window]) -> FloatArray:
         found.append(difference / np.sqrt((joined**2).sum(axis=(1, 2)) + floor**2))
     errors = np.stack(found, axis=-1)
     return np.asarray(trust[:, np.newaxis] * errors / np.sqrt(1.0 + (errors / _MOST) ** 2)).ravel()
+
+
+def _places(windows: Sequence[Window]) -> NDArray[np.intp]:
+    """Row and column of each window's first tile on a grid over all of them, (W, 2)."""
+    tile = windows[0].taper.shape[0] // _TILES
+    corners = np.array([(w.row, w.column) for w in windows])
+    return np.asarray((corners - corners.min(axis=0) + tile // 2) // tile, np.intp)
+
+
+def _halves(windows: Sequence[Window]) -> list[tuple[Mask, Mask]]:
+    """Tiles of the upper and of the lower half, and of the left and of the right one; bool (W, tiles, tiles) each."""
+    places = _places(windows)
+    within = np.arange(_TILES)
+    tiles = places[:, 0, np.newaxis, np.newaxis] + within[:, np.newaxis], places[:, 1, np.newaxis, np.newaxis] + within
+    pairs = []
+    for place in (np.broadcast_to(axis, (len(windows), _TILES, _TILES)) for axis in tiles):
+        middle = place.max() / 2
+        pairs.append((place < middle, place > middle))
+    return pairs
 
 
 def _edginess(moments: _Moments) -> FloatArray:

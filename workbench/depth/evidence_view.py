@@ -8,7 +8,7 @@ pupil that can be drawn so fine.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -188,7 +188,7 @@ def compare_sides(
     if len(rows) == len(near) == 1:
         return list(near.values())
     clues = {row: _compare(superpixels, row, model, options) for row in rows}
-    return [Comparison(clue.sparse, near.get(row, clue).favour) for row, clue in clues.items()]
+    return [replace(near.get(row, clue), sparse=clue.sparse) for row, clue in clues.items()]
 
 
 def _compare(view: View, row: int, model: DepthModel, options: EvidenceOptions) -> Comparison:
@@ -216,4 +216,4 @@ def compare_windows(
     shown = -np.expm1(-((radius_px / _SHAPELESS_PX[view.finer]) ** 2))
     # near the edge a restoration lacks what the blur carried out of the region
     trust = min(1.0, _EDGE_TRUST + clear_share(view.clear, windows, 2.0 * radius_px * view.finer))
-    return Comparison(clue.sparse, shown * trust * clue.favour)
+    return Comparison(clue.sparse, shown * trust * clue.favour, shown * trust * clue.halves)
