@@ -19,6 +19,7 @@ from scipy import ndimage
 
 from calibration.bank import Bank
 from calibration.image import LinearImage
+from workbench.depth.depth_region_merging import merge_cells
 from workbench.depth.depth_region_sides import side_likelihoods
 from workbench.depth.evidence_expected import smeared_power
 from workbench.depth.evidence_model import DepthModel, EvidenceOptions, learned_of, prepare
@@ -30,8 +31,6 @@ FloatArray = NDArray[np.float64]
 Labels = NDArray[np.int32]
 
 
-_CHANCE = 1.0
-"""Log-likelihood that pieces of one blur lose by chance: all that lose less are equally compatible."""
 _DARKEST = 1e-3
 """Least value of a colour, relative to the picture's mean."""
 _WINDOW_SHARE = 0.37
@@ -104,13 +103,13 @@ def regions_of_one_depth(
     likelihood = _cell_likelihoods(image.luminance, windows, model)
     whole = np.zeros(len(windows), np.int32)
     colours = _cell_colours(image.planes, cell)
-    alike = _merge(likelihood, colours, shape, whole, options.tolerance, options.least_cells)
+    alike = merge_cells(likelihood, colours, shape, whole, options.tolerance, options.least_cells)
     overlap = min(1.0, (cell / options.window_px) ** 2 / _WINDOW_SHARE)
     sides = side_likelihoods(
         image.luminance, windows, alike, likelihood, model, learned_of(bank),
         least_cells=options.least_cells, overlap=overlap,
     )  # fmt: skip
-    pieces = _merge(sides, colours, shape, alike, options.side_tolerance, options.least_cells).reshape(shape)
+    pieces = merge_cells(sides, colours, shape, alike, options.side_tolerance, options.least_cells).reshape(shape)
     by_pixel = pieces.repeat(cell, axis=0)[:height].repeat(cell, axis=1)[:, :width]
     return _by_size(_with_outlines(by_pixel, labels, options.whole_share), options.least_fraction)
 
@@ -159,56 +158,6 @@ def _low_half(power: NDArray[np.floating]) -> NDArray[np.floating]:
     n = power.shape[1]
     rows = np.r_[0 : n // 4, n - n // 4 : n]
     return np.ascontiguousarray(power[:, rows, : n // 4 + 1])
-
-
-def _merge(
-    likelihood: FloatArray,
-    colours: FloatArray,
-    shape: tuple[int, int],
-    within: NDArray[np.int32],
-    tolerance: float,
-    least_cells: int,
-) -> NDArray[np.int32]:
-    """Agglomerate neighbouring cells of the same ``within``; returns the piece of each cell, numbered from 1.
-
-    The most compatible go first; of those that are equally so, those of the most similar colours.
-    """
-    total = likelihood.shape[0]
-    number = np.arange(total).reshape(shape)
-    adjacent: dict[int, set[int]] = {index: set() for index in range(total)}
-    for a, b in ((number[1:], number[:-1]), (number[:, 1:], number[:, :-1])):
-        for i, j in zip(a.ravel().tolist(), b.ravel().tolist(), strict=True):
-            if within[i] == within[j]:
-                adjacent[i].add(j)
-                adjacent[j].add(i)
-    parent = np.arange(total)
-    evidence, best, colour = likelihood.copy(), likelihood.max(axis=1), colours.copy()
-    size = np.ones(total, int)
-
-    def apart(first: int, second: int) -> tuple[float, float]:
-        lost = float(best[first] + best[second] - (evidence[first] + evidence[second]).max())
-        return max(lost, _CHANCE), float(np.abs(colour[first] - colour[second]).max())
-
-    losses = {(i, j): apart(i, j) for i in adjacent for j in adjacent[i] if i < j}
-    while losses:
-        (keep, gone), (smallest, _) = min(losses.items(), key=lambda entry: entry[1])
-        if smallest > tolerance:
-            # what is too small to stand alone goes to the neighbour that suits it best
-            small = {p: v for p, v in losses.items() if min(size[p[0]], size[p[1]]) < least_cells}
-            if not small:
-                break
-            keep, gone = min(small, key=small.__getitem__)
-        evidence[keep] += evidence[gone]
-        best[keep] = evidence[keep].max()
-        colour[keep] = (size[keep] * colour[keep] + size[gone] * colour[gone]) / (size[keep] + size[gone])
-        size[keep] += size[gone]
-        parent[parent == gone] = keep
-        adjacent[keep] = (adjacent[keep] | adjacent.pop(gone)) - {keep, gone}
-        losses = {pair: value for pair, value in losses.items() if keep not in pair and gone not in pair}
-        for other in adjacent[keep]:
-            adjacent[other] = (adjacent[other] - {gone}) | {keep}
-            losses[min(keep, other), max(keep, other)] = apart(keep, other)
-    return np.asarray(np.unique(parent, return_inverse=True)[1] + 1, np.int32)
 
 
 def _with_outlines(pieces: Labels, labels: Labels, whole_share: float) -> Labels:

@@ -8,7 +8,8 @@ import pytest
 from calibration.bank import Bank
 from calibration.image import LinearImage
 from tests.unit.depth_evidence.synthetic import FOCUS_MM, as_image, leaves, photograph
-from workbench.depth.depth_regions import regions_of_one_depth
+from workbench.depth.depth_region_merging import merge_cells
+from workbench.depth.depth_regions import DepthRegionOptions, regions_of_one_depth
 
 SIDE = 300
 
@@ -54,3 +55,54 @@ def test_surface_of_one_depth_becomes_one_region(bank: Bank, depth_mm: float) ->
     image = photograph(leaves(2 * SIDE, 5), depth_mm)
     labels = regions_of_one_depth(image, bank, tiles(image))
     assert np.bincount(labels.ravel()).max() > 0.9 * labels.size
+
+
+def wall_kept_beside_a_page(bank: Bank, wall_mm: float, options: DepthRegionOptions | None = None) -> float:
+    """Share of the wall's 60 pixels on either side of a page at 200 cm that stay with the wall."""
+    planes, page = (photograph(leaves(2 * SIDE, seed), z).planes for seed, z in ((3, wall_mm), (4, 2000.0)))
+    middle = planes.shape[1] // 2
+    left, right = middle - 80, middle + 80
+    planes = planes.copy()
+    planes[:, left:right] = page[:, left:right]
+    image = as_image(planes)
+    labels = regions_of_one_depth(image, bank, tiles(image), options)
+    own = [np.bincount(part.ravel()).argmax() for part in (labels[:, : left - 100], labels[:, right + 100 :])]
+    beside = np.concatenate([labels[:, left - 60 : left], labels[:, right : right + 60]], axis=1)
+    return float(np.isin(beside, own).mean())
+
+
+@pytest.mark.parametrize("wall_mm", [2900.0, 1050.0])
+def test_sharper_neighbour_takes_little_of_what_is_beside_it(bank: Bank, wall_mm: float) -> None:
+    assert wall_kept_beside_a_page(bank, wall_mm) > 0.7
+    assert wall_kept_beside_a_page(bank, wall_mm, DepthRegionOptions(window_px=128)) < 0.5
+
+
+FIRST, SECOND, EITHER = (0.0, -40.0), (-40.0, 0.0), (0.0, 0.0)
+"""Log-likelihoods of two causes in a cell."""
+
+
+def merged(row: list[tuple[float, ...]], hues: list[float], least_cells: int = 1) -> list[int]:
+    """Pieces of a row of cells."""
+    colours, within = np.array(hues)[:, np.newaxis], np.zeros(len(row), np.int32)
+    return [int(piece) for piece in merge_cells(np.array(row), colours, (1, len(row)), within, 8.0, least_cells)]
+
+
+def test_cell_that_goes_with_anything_goes_with_its_colour() -> None:
+    row = [FIRST, EITHER, EITHER, SECOND]
+    assert merged(row, [0.0, 0.1, 0.1, 1.0]) == [1, 1, 1, 2]
+    assert merged(row, [0.0, 0.9, 0.9, 1.0]) == [1, 2, 2, 2]
+    assert merged(row, [0.0, 0.1, 0.9, 1.0]) == [1, 1, 2, 2]
+
+
+def test_what_was_seen_overrules_colour() -> None:
+    slightly = (0.0, -3.0)
+    assert merged([FIRST, slightly, SECOND], [0.0, 1.0, 1.0]) == [1, 1, 2]
+    assert merged([FIRST, SECOND, SECOND], [0.0, 0.0, 1.0]) == [1, 2, 2]
+    assert merged([FIRST, FIRST, FIRST], [0.0, 5.0, -5.0]) == [1, 1, 1]
+
+
+def test_piece_of_too_few_cells_goes_where_it_loses_least() -> None:
+    odd, third = (-20.0, -90.0, 0.0), (0.0, -90.0, -90.0)
+    row = [third, third, odd, (-90.0, 0.0, -90.0), (-90.0, 0.0, -90.0)]
+    assert merged(row, [0.0] * 5, least_cells=2) == [1, 1, 1, 2, 2]
+    assert merged(row, [0.0] * 5) == [1, 1, 2, 3, 3]
