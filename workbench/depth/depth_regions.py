@@ -145,7 +145,7 @@ def _cell_colours(planes: NDArray[np.float32], cell: int) -> FloatArray:
     sums = np.add.reduceat(np.add.reduceat(planes, rows, axis=0, dtype=np.float64), columns, axis=1)
     sizes = np.outer(*(np.diff(np.append(starts, n)) for starts, n in zip((rows, columns), planes.shape, strict=False)))
     means = (sums / sizes[..., np.newaxis]).reshape(-1, planes.shape[2])
-    return np.asarray(np.log(np.maximum(means, _DARKEST * means.mean() + 1e-12)))
+    return np.asarray(np.log(np.maximum(means, max(_DARKEST * float(means.mean()), 1e-12))))
 
 
 def _corners(cells: int, cell: int, size: int, length: int) -> list[int]:

@@ -77,6 +77,15 @@ def test_sharper_neighbour_takes_little_of_what_is_beside_it(bank: Bank, wall_mm
     assert wall_kept_beside_a_page(bank, wall_mm, DepthRegionOptions(window_px=128)) < 0.5
 
 
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("level", [0.0, -0.01])
+def test_frame_as_dark_as_its_noise_has_regions(bank: Bank, level: float) -> None:
+    """Less than the dark frame on average, in places or all over."""
+    planes = level + 0.003 * np.random.default_rng(1).standard_normal((160, 200, 3))
+    image = as_image(planes.astype(np.float32))
+    assert regions_of_one_depth(image, bank, tiles(image)).min() == 1
+
+
 FIRST, SECOND, EITHER = (0.0, -40.0), (-40.0, 0.0), (0.0, 0.0)
 """Log-likelihoods of two causes in a cell."""
 
