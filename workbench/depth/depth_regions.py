@@ -90,11 +90,11 @@ def regions_of_one_depth(
     Returns
     -------
     int32 (H, W)
-        Labels 1 to n by decreasing size.
+        Labels 1 to n by decreasing size; ``labels`` themselves where the frame is narrower than two windows.
     """
     options = options or DepthRegionOptions()
     height, width = image.shape
-    if min(height, width) < options.window_px:
+    if min(height, width) < 2 * options.window_px:
         return labels
     cell = max(options.least_cell_px, int(np.ceil(max(height, width) / options.most_cells)))
     shape = -(-height // cell), -(-width // cell)
