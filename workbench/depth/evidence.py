@@ -27,6 +27,7 @@ from workbench.depth.evidence_doubt import (
     unless_another_blur_fits,
     unless_beyond_reach,
     unless_halves_disagree,
+    unless_negative,
     unless_on_either_side,
 )
 from workbench.depth.evidence_expected import smeared_power
@@ -37,6 +38,7 @@ from workbench.depth.evidence_posterior import (
     find_modes,
     half_odds,
     mode_scores,
+    negative_cost,
     side_odds,
     signed_posterior,
     summarise,
@@ -110,7 +112,10 @@ def estimate_evidence(
         mixture = informative_mixture(image, mask & ~image.saturated, options.colour_gain)
         plane = luminance if mixture is None else np.asarray(image.planes @ mixture.astype(np.float32))
         photosites = image if mixture is None else None  # a colour by itself is sampled too coarsely
-        found[int(label)] = measure_region(plane, image.saturated, mask, model, learned, options, photosites)
+        is_light = mixture is None or bool((mixture >= 0).all())
+        found[int(label)] = measure_region(
+            plane, image.saturated, mask, model, learned, options, photosites, is_light=is_light
+        )
     return found
 
 
@@ -143,12 +148,13 @@ def observe(
     options: EvidenceOptions,
     with_photosites: LinearImage | None = None,
     *,
+    is_light: bool = True,
     as_one: bool = False,
 ) -> Observation | None:
     """Pool the region's windows and fit every blur; None where no window fits.
 
-    Photosites are looked at next to focus, where an image is given that has them. With ``as_one`` nobody asks whether
-    the blur is the same all over.
+    Photosites are looked at next to focus, where an image is given that has them. ``is_light``: see :class:`View`. With
+    ``as_one`` nobody asks whether the blur is the same all over.
     """
     margin = min(options.margin_px, options.margin * float(np.sqrt(mask.sum())))
     size = options.window_px
@@ -164,7 +170,7 @@ def observe(
     pooled = pooled_periodogram(plane, chosen, model.kernel_lags.shape[1] // 2)
     expected = smeared_power(model.kernel_lags, pooled.taper_lags, size)
     fit = fit_spectra(pooled.power, pooled.trusted, expected, factor=options.factor)
-    view, photosites = View(plane, soft, clear, chosen, pooled, fit), None
+    view, photosites = View(plane, soft, clear, chosen, pooled, fit, is_light=is_light), None
     if with_photosites is not None and with_photosites.mosaic is not None and _next_to_focus(fit.log_likelihood, model):
         photosites = view_photosites(with_photosites, mask, view, model, options)
     varied, parts = 0.0, list[Part]()
@@ -228,6 +234,8 @@ def measure_region(
     learned: Learned,
     options: EvidenceOptions,
     with_photosites: LinearImage | None = None,
+    *,
+    is_light: bool = True,
 ) -> DepthEstimate:
     """Depth of one region; see :func:`estimate_evidence`."""
     pixels = int(mask.sum())
@@ -235,7 +243,7 @@ def measure_region(
     if clipped > options.max_saturated:
         return _refused(model, "saturated", pixels, f"{clipped:.0%} of its pixels are saturated; expose less")
     usable = mask & ~saturated if clipped > 0.002 else mask
-    seen = observe(plane, usable, model, options, with_photosites)
+    seen = observe(plane, usable, model, options, with_photosites, is_light=is_light)
     if seen is None:
         return _refused(
             model, "no-texture", pixels, f"too small or too thin for a window of {options.smallest_window_px} px"
@@ -294,6 +302,8 @@ def _conclude(
     if is_uneven:
         return estimate
     estimate = unless_halves_disagree(estimate, modes, half_odds(clues, learned), model)
-    estimate = unless_another_blur_fits(estimate, likelihood, modes, (far, near), model, options)
+    cost = negative_cost(clues)
+    least = np.where(model.sides_in_reach[modes], cost, np.inf).min(axis=1) / learned.temperature
+    estimate = unless_another_blur_fits(estimate, likelihood, modes, (far, near), least, model, options)
     estimate = unless_beyond_reach(estimate, modes, side_odds(clues, learned), model)
-    return unless_on_either_side(estimate, model)
+    return unless_on_either_side(unless_negative(estimate, modes, cost, model), model)

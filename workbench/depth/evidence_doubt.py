@@ -24,6 +24,8 @@ _RIVAL_PX = 0.5
 _OPPOSED = 2.5
 """Log-odds that each of two halves has for its own side, at least, to name two depths instead of one. Of 143 unmarked
 regions of one depth two pass it, of 21 unmarked ones of two mirror depths all."""
+_IMPOSSIBLE = 4.0
+"""Nats that negative light costs a blur which is not believed: 22 % of the contrast's energy."""
 _OUT_OF_REACH = 3.0
 """Log-odds against a depth that the bank doesn't reach, before its sides are compared: scenes are mostly within it."""
 
@@ -56,10 +58,11 @@ def unless_another_blur_fits(
     likelihood: FloatArray,
     modes: Sequence[int],
     sides: tuple[FloatArray, FloatArray],
+    cost: FloatArray,
     model: DepthModel,
     options: EvidenceOptions,
 ) -> DepthEstimate:
-    """Call an estimate ambiguous where the spectrum alone hardly prefers its blur to quite another one.
+    """Call an estimate ambiguous where the spectrum alone hardly prefers its blur to quite another possible one.
 
     Parameters
     ----------
@@ -69,6 +72,8 @@ def unless_another_blur_fits(
         float64 (D,): log-likelihood of the spectrum for each of the model's rows.
     modes, sides
         Rows of its local maxima, and what sparseness adds to each on the far and on the near side.
+    cost
+        float64 (M,): by how much what is impossible about each of them makes it less likely.
     model, options
         Rows' radii; what counts as close.
 
@@ -87,7 +92,7 @@ def unless_another_blur_fits(
     for index, row in enumerate(modes):
         low, high = sorted((float(radius[row]) + 0.5, chosen + 0.5))
         apart = high / low > options.close_ratio and high - low > _APART_PX
-        if apart and likelihood[row] > own - options.close_log_likelihood:
+        if apart and likelihood[row] - cost[index] > own - options.close_log_likelihood:
             odds = float(sides[0][index] - sides[1][index])
             rivals += open_sides(float(radius[row]), odds, model.sides_in_reach[row], model, options)
     if not rivals:
@@ -138,6 +143,38 @@ def unless_halves_disagree(
     if not settled:
         return replace(estimate, reason=reason)
     return doubted(replace(estimate, interval_mm=_with_mirrored(estimate, model)), reason)
+
+
+def unless_negative(
+    estimate: DepthEstimate, modes: Sequence[int], cost: FloatArray, model: DepthModel
+) -> DepthEstimate:
+    """Call an estimate ambiguous whose blur would need negative light: a smaller one is likelier than any that fits.
+
+    Parameters
+    ----------
+    estimate
+        What the posterior says.
+    modes
+        Rows of the likelihood's local maxima.
+    cost
+        float64 (M, 2): nats that negative light costs each of them, on the far and on the near side.
+    model
+        The bank, made ready.
+
+    Returns
+    -------
+    DepthEstimate
+        The same, or ambiguous with an interval that holds every smaller blur on both sides of focus within the bank's
+        planes.
+    """
+    side = 0 if model.psfs.radius_px(estimate.depth_mm) > 0 else 1
+    if cost[_nearest_mode(estimate, modes, model), side] < _IMPOSSIBLE:
+        return estimate
+    radius = abs(model.psfs.radius_px(estimate.depth_mm))
+    near, far = (float(depth_mm) for depth_mm in model.depth_within_mm(np.array([-radius, radius])))
+    interval = min(near, estimate.interval_mm[0]), max(far, estimate.interval_mm[1])
+    reason = "its light would have to be negative: its blur is smaller, or not the same all over"
+    return doubted(replace(estimate, interval_mm=interval), reason)
 
 
 def unless_beyond_reach(

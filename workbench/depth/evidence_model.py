@@ -17,7 +17,7 @@ from workbench.depth.options import require
 FloatArray = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-LEARNED = "evidence_learned_2"
+LEARNED = "evidence_learned_3"
 """Name of :class:`Learned` among a bank's extras."""
 NATIVE_FINER = 2
 """Photosites a superpixel is wide."""
@@ -140,7 +140,8 @@ class Learned:
     outlier
         Probability that the whole reasoning fails.
     side_weights
-        Per filter family and order of the moment: log-odds of a side per standard error that it is sparser.
+        Per filter family and order of the moment, log-odds of a side per standard error that it is sparser; and, the
+        last one, that its light is less negative.
     mode_weights
         Per filter family: log-likelihood of a radius per unit of sparseness.
     """
@@ -149,7 +150,7 @@ class Learned:
     size_power: float = 0.25
     floor_px: float = 0.04
     outlier: float = 0.003
-    side_weights: tuple[float, ...] = (0.5, 0.2, 0.4, 0.1, 0.3, 0.2, 0.4, 0.1)
+    side_weights: tuple[float, ...] = (0.5, 0.2, 0.4, 0.1, 0.3, 0.2, 0.4, 0.1, 1.5)
     mode_weights: tuple[float, ...] = (30.0, 10.0, 0.0, 50.0)
 
     def as_array(self) -> FloatArray:

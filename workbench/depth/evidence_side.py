@@ -5,6 +5,10 @@ wrong one turns edges into ripples. Restorations are seen through several famili
 whitened derivatives along four directions, band-passes); for each, moments of |g| of order 0.8 (Levin et al. 2007 use
 the same exponent as the prior of gradients) and of order 4 are compared at equal mean square.
 
+Light is never negative, and no phases but the right ones keep a restoration of dark and bright detail from dipping
+below zero. How much of the image that part explains, blurred again so that ripples which the PSF takes away don't
+count, is compared like the sparseness is.
+
 What counts is not the difference of the two restorations but the difference over its standard error, as found from
 the scatter between tiles of the region: a page with three letters on it makes large differences by chance, gravel makes
 small ones that are the same everywhere.
@@ -21,8 +25,19 @@ from numpy.typing import NDArray
 from scipy import fft
 
 from workbench.depth.compiled import compiled
-from workbench.depth.evidence_spectrum import TextureSpectrum, frequencies
-from workbench.depth.evidence_windows import Window, cut_out, hann
+from workbench.depth.evidence_restoration import (
+    TILES,
+    Patches,
+    cut_patches,
+    inner,
+    root_mean_square_gain,
+    texture_over_noise,
+    tile_sums,
+    transfer_of,
+    wiener,
+)
+from workbench.depth.evidence_spectrum import TextureSpectrum
+from workbench.depth.evidence_windows import Window
 
 FloatArray = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -31,7 +46,7 @@ Complex = NDArray[np.complex64]
 
 FAMILIES = ("whitened", "wiener", "band 0.35", "band 0.18")
 """Filter families, four directions each."""
-STATISTICS = tuple(f"{family}, order {order:g}" for family in FAMILIES for order in (0.8, 4.0))
+STATISTICS = (*(f"{family}, order {order:g}" for family in FAMILIES for order in (0.8, 4.0)), "negative light")
 """What :attr:`Comparison.favour` holds."""
 _SPARSE, _PEAKED = 0.8, 4.0
 _FLOORS = (0.003, 0.015)
@@ -43,13 +58,13 @@ _WAVES = -0.205, -0.225
 (-0.226 in tiles of some 30 pixels), less for edges. Nothing is said from the first on, all from the second."""
 _BANDS = (0.35, 0.18)
 _DIRECTIONS = 4
-_TILES = 4
-"""Tiles along each side of a window."""
+_DARKEST, _DARKEST_NOISE, _NEGATIVE_FLOOR = -0.05, 2.0, 5e-4
+"""Light counts as negative below so much of a window's level, since PSFs are not that well known, less so many
+standard deviations of the restored noise. And the standard error of its share of the contrast's energy that no scatter
+undercuts."""
 _ALL_TILES = (-3, -2, -1)
 """Axes of :class:`_Moments` over windows and their tiles."""
 _TINY = 1e-30
-_CONTEXT = 32
-_FADE = 16
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,35 +77,46 @@ class Comparison:
         float64 (2, len(FAMILIES)): mean over directions of log(mean |g|^0.8 / (mean g^2)^0.4); smaller is sparser.
     favour
         float64 (len(STATISTICS),): how many standard errors sparser the first PSF's restoration is, below 4 in size;
-        nearer to 0 where there are waves instead of edges to judge by.
+        nearer to 0 where there are waves instead of edges to judge by. The last one: how many less negative it is.
+    negative
+        float64 (2,): share of the contrast's energy that the negative part of the restored light accounts for.
     halves
-        float64 (2, 2, len(STATISTICS)): the same of the upper and the lower half of what was looked at by themselves,
+        float64 (2, 2, len(STATISTICS)): ``favour`` of the upper and the lower half of what was looked at by themselves,
         and of the left and the right one.
     """
 
     sparse: FloatArray
     favour: FloatArray
+    negative: FloatArray
     halves: FloatArray
 
 
 @dataclass(frozen=True, slots=True)
 class _Moments:
-    """Sums under the squared tapers, each float64 (P, F, directions, W, tiles, tiles)."""
+    """Sums under the squared tapers: of restorations' responses, each float64 (P, F, directions, W, tiles, tiles)."""
 
     sparse: FloatArray
     square: FloatArray
     peaked: FloatArray
+    negative: FloatArray
+    """What the negative part of the restored light explains, squared, float64 (P, W, tiles, tiles)."""
+    contrast: FloatArray
+    """Of the image about its level, squared, float64 (W, tiles, tiles)."""
     weight: FloatArray
     """Of the squared tapers alone, float64 (W, tiles, tiles)."""
 
     def of_window(self, index: int) -> _Moments:
         """Those of one window alone."""
-        one = np.s_[:, :, :, index : index + 1]
-        return _Moments(self.sparse[one], self.square[one], self.peaked[one], self.weight[index : index + 1])
+        one = slice(index, index + 1)
+        return _Moments(*(sums[..., one, :, :] for sums in self._all))
 
     def within(self, tiles: Mask) -> _Moments:
         """Those of some tiles alone, bool (W, tiles, tiles)."""
-        return _Moments(self.sparse * tiles, self.square * tiles, self.peaked * tiles, self.weight * tiles)
+        return _Moments(*(sums * tiles for sums in self._all))
+
+    @property
+    def _all(self) -> tuple[FloatArray, ...]:
+        return self.sparse, self.square, self.peaked, self.negative, self.contrast, self.weight
 
 
 def compare(
@@ -99,6 +125,8 @@ def compare(
     windows: Sequence[Window],
     psfs: Sequence[Plane],
     texture: TextureSpectrum,
+    *,
+    is_light: bool = True,
 ) -> Comparison:
     """Compare the restorations of a region.
 
@@ -107,19 +135,22 @@ def compare(
     plane
         float32 (H, W).
     soft
-        float32 (H, W): the region, 1 inside, falling to 0 at its edge. What lies beyond is kept out: a restoration
-        would carry a neighbour's edges into the window, the farther the larger its PSF.
+        float32 (H, W): the region, 1 inside, falling to 0 at its edge.
     windows
         Where to look; moments are pooled over them, weighted by their squared tapers.
     psfs
         The two PSFs, float32 (K, K), unit sum.
     texture
         Texture and noise as fitted to the region (:mod:`workbench.depth.evidence_spectrum`).
+    is_light
+        Whether the plane is never negative but for noise; a difference of colours may be.
     """
-    moments = _moments(plane, soft, windows, psfs, texture)
+    moments = _moments(cut_patches(plane, soft, windows), psfs, texture, is_light)
     moment, square = (m.sum(_ALL_TILES) / moments.weight.sum() for m in (moments.sparse, moments.square))
     halves = np.array([[_favour(moments.within(half), windows) for half in pair] for pair in _halves(windows)])
-    return Comparison(_log_ratio(moment, square, _SPARSE).mean(axis=-1), _favour(moments, windows), halves)
+    sparse = _log_ratio(moment, square, _SPARSE).mean(axis=-1)
+    negative = moments.negative.sum(_ALL_TILES) / (moments.contrast.sum() + _TINY)
+    return Comparison(sparse, _favour(moments, windows), negative, halves)
 
 
 def favour_by_window(
@@ -129,8 +160,8 @@ def favour_by_window(
     psfs: Sequence[Plane],
     texture: TextureSpectrum,
 ) -> FloatArray:
-    """:attr:`Comparison.favour` of each window by itself, float64 (len(windows), len(STATISTICS))."""
-    moments = _moments(plane, soft, windows, psfs, texture)
+    """:attr:`Comparison.favour` of each window of light by itself, float64 (len(windows), len(STATISTICS))."""
+    moments = _moments(cut_patches(plane, soft, windows), psfs, texture, is_light=True)
     return np.stack([_favour(moments.of_window(i), windows[i : i + 1]) for i in range(len(windows))])
 
 
@@ -146,7 +177,6 @@ def _favour(moments: _Moments, windows: Sequence[Window]) -> FloatArray:
     Sampling Techniques, 6.3), here of tiles a quarter of a window wide.
     """
     places = _places(windows)
-    rows, columns = places.max(axis=0) + _TILES
     square = moments.square.sum(_ALL_TILES)
     trust = _edginess(moments)
     parts = moments.square / (square + _TINY)[..., np.newaxis, np.newaxis, np.newaxis]
@@ -158,17 +188,27 @@ def _favour(moments: _Moments, windows: Sequence[Window]) -> FloatArray:
         linear = moment / (whole + _TINY)[..., np.newaxis, np.newaxis, np.newaxis] - order / 2 * parts
         difference = sign * (ratio[1] - ratio[0]).mean(axis=-1)
         scatter = (linear[1] - linear[0]).mean(axis=1)
-        joined = np.zeros((scatter.shape[0], rows, columns))
-        for index, (row, column) in enumerate(places):  # overlapping windows see the same pixels
-            joined[:, row : row + _TILES, column : column + _TILES] += scatter[:, index]
-        found.append(difference / np.sqrt((joined**2).sum(axis=(1, 2)) + floor**2))
-    errors = np.stack(found, axis=-1)
-    return np.asarray(trust[:, np.newaxis] * errors / np.sqrt(1.0 + (errors / _MOST) ** 2)).ravel()
+        found.append(trust * _in_errors(difference, scatter, places, floor))
+    excess = (moments.negative[1] - moments.negative[0]) / (moments.contrast.sum() + _TINY)
+    darker = _in_errors(excess.sum(), excess[np.newaxis], places, _NEGATIVE_FLOOR)
+    return np.concatenate([np.stack(found, axis=-1).ravel(), darker])
+
+
+def _in_errors(
+    difference: FloatArray | np.float64, scatter: FloatArray, places: NDArray[np.intp], floor: float
+) -> FloatArray:
+    """Differences over their standard errors by the scatter of their parts, float64 (F, W, tiles, tiles); at most 4."""
+    rows, columns = places.max(axis=0) + TILES
+    joined = np.zeros((scatter.shape[0], rows, columns))
+    for index, (row, column) in enumerate(places):  # overlapping windows see the same pixels
+        joined[:, row : row + TILES, column : column + TILES] += scatter[:, index]
+    errors = difference / np.sqrt((joined**2).sum(axis=(1, 2)) + floor**2)
+    return np.asarray(errors / np.sqrt(1.0 + (errors / _MOST) ** 2))
 
 
 def _places(windows: Sequence[Window]) -> NDArray[np.intp]:
     """Row and column of each window's first tile on a grid over all of them, (W, 2)."""
-    tile = windows[0].taper.shape[0] // _TILES
+    tile = windows[0].taper.shape[0] // TILES
     corners = np.array([(w.row, w.column) for w in windows])
     return np.asarray((corners - corners.min(axis=0) + tile // 2) // tile, np.intp)
 
@@ -176,10 +216,10 @@ def _places(windows: Sequence[Window]) -> NDArray[np.intp]:
 def _halves(windows: Sequence[Window]) -> list[tuple[Mask, Mask]]:
     """Tiles of the upper and of the lower half, and of the left and of the right one; bool (W, tiles, tiles) each."""
     places = _places(windows)
-    within = np.arange(_TILES)
+    within = np.arange(TILES)
     tiles = places[:, 0, np.newaxis, np.newaxis] + within[:, np.newaxis], places[:, 1, np.newaxis, np.newaxis] + within
     pairs = []
-    for place in (np.broadcast_to(axis, (len(windows), _TILES, _TILES)) for axis in tiles):
+    for place in (np.broadcast_to(axis, (len(windows), TILES, TILES)) for axis in tiles):
         middle = place.max() / 2
         pairs.append((place < middle, place > middle))
     return pairs
@@ -197,45 +237,45 @@ def _edginess(moments: _Moments) -> FloatArray:
     return np.asarray(np.clip((waves - local.min(axis=0)) / (waves - noise), 0.0, 1.0))
 
 
-def _moments(
-    plane: Plane,
-    soft: Plane,
-    windows: Sequence[Window],
-    psfs: Sequence[Plane],
-    texture: TextureSpectrum,
-) -> _Moments:
-    inner = windows[0].taper.shape[0]
-    size = inner + 2 * _CONTEXT
-    fade = np.ones(size)
-    fade[:_FADE] = hann(2 * _FADE)[:_FADE]
-    fade[-_FADE:] = fade[:_FADE][::-1]
-    edge = np.outer(fade, fade)
-    patches = np.stack([cut_out(plane, w.row - _CONTEXT, w.column - _CONTEXT, size, size) for w in windows])
-    seen = np.stack([cut_out(soft, w.row - _CONTEXT, w.column - _CONTEXT, size, size) for w in windows]) * edge
-    patches -= ((patches * seen).sum(axis=(1, 2)) / seen.sum(axis=(1, 2)))[:, np.newaxis, np.newaxis]
-    spectra = fft.rfft2((patches * seen).astype(np.float32))
-    weights = np.stack([w.taper**2 for w in windows])
-    found = np.zeros((3, len(psfs), len(FAMILIES), _DIRECTIONS, len(windows), _TILES, _TILES))
-    ratio = _texture_over_noise(texture, size)
+def _moments(patches: Patches, psfs: Sequence[Plane], texture: TextureSpectrum, is_light: bool) -> _Moments:
+    count = len(patches.levels)
+    found = np.zeros((3, len(psfs), len(FAMILIES), _DIRECTIONS, count, TILES, TILES))
+    negative = np.zeros((len(psfs), count, TILES, TILES))
+    ratio = texture_over_noise(texture, patches.size)
     for i, psf in enumerate(psfs):
-        for j, filters in enumerate(_filters(psf, ratio)):
+        transfer = transfer_of(psf, patches.size)
+        for j, filters in enumerate(_filters(transfer, ratio)):
             for k, filt in enumerate(filters):
-                response = fft.irfft2(spectra * filt, s=(size, size))[:, _CONTEXT:-_CONTEXT, _CONTEXT:-_CONTEXT]
+                response = inner(patches.filtered(filt))
                 square = response * response
                 root = (square + np.float32(_TINY)) ** np.float32(_SPARSE / 2)
-                _add_moments(root, square, weights, found[:, i, j, k])
-    tile = inner // _TILES
-    by_tile = weights[:, : _TILES * tile, : _TILES * tile].reshape(len(windows), _TILES, tile, _TILES, tile)
-    return _Moments(found[0], found[1], found[2], by_tile.sum(axis=(2, 4), dtype=np.float64))
+                _add_moments(root, square, patches.weights, found[:, i, j, k])
+        if is_light:
+            negative[i] = patches.by_tile(_explained_by_negative(patches, transfer, ratio, texture.log_noise) ** 2)
+    contrast = patches.by_tile(patches.values**2)
+    return _Moments(found[0], found[1], found[2], negative, contrast, tile_sums(patches.weights))
+
+
+def _explained_by_negative(patches: Patches, transfer: Complex, ratio: Plane, log_noise: float) -> Plane:
+    """The part of each patch that the negative part of its restored light would account for, float32 (W, N, N)."""
+    restoring = wiener(transfer, ratio)
+    noise = np.exp(0.5 * log_noise) * root_mean_square_gain(restoring)
+    least = (_DARKEST - 1.0) * np.maximum(patches.levels, 0.0) - _DARKEST_NOISE * noise
+    below = np.minimum(
+        patches.filtered(restoring) - least[:, np.newaxis, np.newaxis].astype(np.float32), np.float32(0.0)
+    )
+    if not below.any():
+        return np.zeros_like(patches.values)
+    return np.asarray(fft.irfft2(fft.rfft2(below) * transfer, s=(patches.size, patches.size)))
 
 
 @compiled
 def _add_moments(root: Plane, square: Plane, weights: Plane, sums: FloatArray) -> None:
     # Weighted sums of |g|^0.8, g^2 and g^4 over each tile of each window: (3, W, tiles, tiles).
-    tile = weights.shape[1] // _TILES
+    tile = weights.shape[1] // TILES
     for w in range(weights.shape[0]):
-        for row in range(_TILES * tile):
-            for b in range(_TILES):
+        for row in range(TILES * tile):
+            for b in range(TILES):
                 part = slice(b * tile, (b + 1) * tile)
                 weight, small, middle = weights[w, row, part], root[w, row, part], square[w, row, part]
                 sparse, even, peaked = np.float32(0.0), np.float32(0.0), np.float32(0.0)
@@ -249,21 +289,19 @@ def _add_moments(root: Plane, square: Plane, weights: Plane, sums: FloatArray) -
                 sums[2, w, row // tile, b] += peaked
 
 
-def _filters(psf: Plane, ratio: Plane) -> Iterator[list[Complex]]:
-    """Family by family, the filters in four directions that restore what a PSF blurred.
+def _filters(transfer: Complex, ratio: Plane) -> Iterator[list[Complex]]:
+    """Family by family, the filters in four directions that restore what a transfer function blurred.
 
     ``ratio`` is the power of texture over noise, float32 (N, N // 2 + 1).
     """
-    size = ratio.shape[0]
-    shapes = _shapes(size)
-    transfer = _transfer(psf, size).astype(np.complex64)
+    shapes = _shapes(ratio.shape[0])
     modulus = np.abs(transfer)
     gain = modulus**2 * ratio
     snr = gain / (gain + 1.0)
     phase = np.conj(transfer) / np.maximum(modulus, np.float32(1e-9))
     white = phase * snr / np.sqrt(gain + 1.0)
     softer = phase * np.sqrt(snr) / np.sqrt(gain + 1.0)
-    for restored, shape in ((white, shapes[0]), (np.conj(transfer) * ratio / (gain + 1.0), shapes[1]),
+    for restored, shape in ((white, shapes[0]), (wiener(transfer, ratio), shapes[1]),
                             *((softer, shape) for shape in shapes[2:])):  # fmt: skip
         yield [restored * direction for direction in shape]
 
@@ -279,18 +317,3 @@ def _shapes(size: int) -> tuple[list[Complex], ...]:
     bands = [np.exp(-(np.log(safe / centre) ** 2) / 0.572) for centre in _BANDS]
     families = [[slope / safe for slope in slopes], list(slopes), *([band * lobe for lobe in lobes] for band in bands)]
     return tuple([(1j * shape).astype(np.complex64) for shape in family] for family in families)
-
-
-def _texture_over_noise(texture: TextureSpectrum, size: int) -> Plane:
-    """float32 (N, N // 2 + 1); clipped so that extrapolation to the lowest frequencies stays finite."""
-    modulus, direction, _ = frequencies(size)
-    level = texture.log_power(np.maximum(modulus, 1.0 / size).ravel(), direction.ravel())
-    return np.exp(np.clip(level.reshape(modulus.shape) - texture.log_noise, -30.0, 30.0)).astype(np.float32)
-
-
-def _transfer(psf: Plane, size: int) -> NDArray[np.complex128]:
-    half = psf.shape[0] // 2
-    folded = np.zeros((size, size))
-    index = np.arange(-half, half + 1) % size
-    np.add.at(folded, (index[:, np.newaxis], index[np.newaxis, :]), psf)
-    return np.asarray(fft.rfft2(folded), np.complex128)

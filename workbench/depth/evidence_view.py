@@ -66,6 +66,8 @@ class View:
         Texture and noise for the model's rows: for superpixels all of them, for photosites the first ones.
     finer
         Pixels a superpixel is wide.
+    is_light
+        Whether the plane is never negative but for noise: a difference of colours may be.
     """
 
     plane: NDArray[np.float32]
@@ -75,6 +77,7 @@ class View:
     pooled: Pooled
     fit: SpectralFit
     finer: int = 1
+    is_light: bool = True
 
 
 def view_photosites(
@@ -180,15 +183,15 @@ def compare_sides(
 ) -> list[Comparison]:
     """How sparse the far and the near side's restorations are at some rows' radii.
 
-    How sparse they are by themselves is read from superpixels at every row, so that rows can be compared; how much one
-    side is favoured, from photosites next to focus. A single row has none to be compared with.
+    How sparse and how negative they are is read from superpixels at every row, so that rows can be compared; how much
+    one side is favoured, from photosites next to focus. A single row has none to be compared with.
     """
     views = {row: view_of(superpixels, photosites, row) for row in rows}
     near = {row: _compare(view, row, model, options) for row, view in views.items() if view is not superpixels}
     if len(rows) == len(near) == 1:
         return list(near.values())
     clues = {row: _compare(superpixels, row, model, options) for row in rows}
-    return [replace(near.get(row, clue), sparse=clue.sparse) for row, clue in clues.items()]
+    return [replace(near.get(row, clue), sparse=clue.sparse, negative=clue.negative) for row, clue in clues.items()]
 
 
 def _compare(view: View, row: int, model: DepthModel, options: EvidenceOptions) -> Comparison:
@@ -211,9 +214,9 @@ def compare_windows(
             psfs.append(model.psf_at(sign * radius_px, view.finer))
         else:
             psfs.append((psfs[0] if psfs else model.psf_at(-radius_px, view.finer))[::-1, ::-1])
-    clue = compare(view.plane, view.soft, windows, psfs, texture)
+    clue = compare(view.plane, view.soft, windows, psfs, texture, is_light=view.is_light)
     # next to focus the lens's own spot hides the aperture's shape, and with it the side
     shown = -np.expm1(-((radius_px / _SHAPELESS_PX[view.finer]) ** 2))
     # near the edge a restoration lacks what the blur carried out of the region
     trust = min(1.0, _EDGE_TRUST + clear_share(view.clear, windows, 2.0 * radius_px * view.finer))
-    return Comparison(clue.sparse, shown * trust * clue.favour, shown * trust * clue.halves)
+    return replace(clue, favour=shown * trust * clue.favour, halves=shown * trust * clue.halves)

@@ -18,14 +18,18 @@ def mirror_of(depth_mm: float) -> float:
     return 1.0 / (2.0 / FOCUS_MM - 1.0 / depth_mm)
 
 
-def at_mirror_depths(first_mm: float, *, along: int, drawn: int) -> LinearImage:
-    """Upper (along 0) or left half (1) at a depth, the rest at its mirror depth; they fade over into each other."""
-    first, second = (
-        photograph(leaves(SIDE, drawn + i), z).planes for i, z in enumerate((first_mm, mirror_of(first_mm)))
-    )
-    place = np.indices(first.shape[:2])[along] - first.shape[along] / 2
+def joined(first: LinearImage, second: LinearImage, *, along: int) -> LinearImage:
+    """The first one in the upper (along 0) or left half (1), the other in the rest; they fade over into each other."""
+    place = np.indices(first.shape)[along] - first.shape[along] / 2
     share = np.clip(0.5 - place / 24.0, 0.0, 1.0)[..., np.newaxis]
-    return as_image((share * first + (1.0 - share) * second).astype(np.float32))
+    return as_image((share * first.planes + (1.0 - share) * second.planes).astype(np.float32))
+
+
+def at_mirror_depths(first_mm: float, *, along: int, drawn: int) -> LinearImage:
+    """One half at a depth, the other at its mirror depth."""
+    depths = first_mm, mirror_of(first_mm)
+    first, second = (photograph(leaves(SIDE, drawn + i), z) for i, z in enumerate(depths))
+    return joined(first, second, along=along)
 
 
 @pytest.mark.parametrize("drawn", [16, 40])
@@ -50,7 +54,7 @@ def test_reason_names_each_half_and_its_depth(bank: Bank, along: int, first: str
 
 @pytest.mark.parametrize("depth_mm", [2400.0, 1200.0])
 def test_halves_of_one_depth_agree(bank: Bank, depth_mm: float) -> None:
-    image = as_image(np.concatenate([photograph(leaves(SIDE, drawn), depth_mm).planes for drawn in (16, 17)], axis=1))
+    image = joined(*(photograph(leaves(SIDE, drawn), depth_mm) for drawn in (16, 17)), along=1)
     found = estimate_evidence(image, bank, whole(image.shape))[1]
     assert found.status == "ok"
     assert found.depth_mm == pytest.approx(depth_mm, rel=0.02)
