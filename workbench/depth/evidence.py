@@ -5,8 +5,9 @@
 2. For every |radius| on a fine grid, texture and noise are fitted and the likelihood of the spectrum is taken
    (:mod:`~workbench.depth.evidence_spectrum`). It can't tell the side of focus.
    Next to focus the photosites themselves refine it (:mod:`~workbench.depth.evidence_view`).
-3. At each of the likelihood's modes, restorations with both sides' PSFs are judged by how sparse they are
-   (:mod:`~workbench.depth.evidence_side`): the true blur, on its true side, gives the sparsest.
+3. At each of the likelihood's modes, restorations with both sides' PSFs are judged by how sparse they are, and by how
+   much of their light is negative (:mod:`~workbench.depth.evidence_side`): the true blur, on its true side, gives the
+   sparsest, and needs none.
 4. Both join in one posterior over the signed radius, which is linear in 1/depth. It is tempered and widened by what was
    learned from the bank, by the lens fit's standard errors, and by a share for what no model foresees.
 """
