@@ -162,8 +162,8 @@ def favour_by_window(
 ) -> FloatArray:
     """:attr:`Comparison.favour` of each window by itself, float64 (len(windows), len(STATISTICS)).
 
-    For windows that look across outlines: another depth's edges, restored with a PSF that is not theirs, would be negative
-    light on either side, so that is not asked for.
+    For windows that look across outlines: another depth's edges, restored with a PSF that is not theirs, would be
+    negative light on either side, so that is not asked for.
     """
     moments = _moments(cut_patches(plane, soft, windows), psfs, texture, is_light=False)
     return np.stack([_favour(moments.of_window(i), windows[i : i + 1]) for i in range(len(windows))])
