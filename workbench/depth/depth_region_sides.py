@@ -71,6 +71,6 @@ def side_likelihoods(
         fit = fit_spectra(pooled.power, pooled.trusted, expected)
         psfs = [model.psf_at(sign * radius) for sign in (1.0, -1.0)]
         favour = favour_by_window(plane, everywhere, own, psfs, fit.texture(0))
-        odds = overlap * favour @ np.array(learned.side_weights)
+        odds = overlap * favour @ learned.favour_weights
         result[cells] = np.stack([log_expit(odds), log_expit(-odds)], axis=1)
     return result

@@ -304,7 +304,8 @@ def _conclude(
         return estimate
     estimate = unless_halves_disagree(estimate, modes, half_odds(clues, learned), model)
     cost = negative_cost(clues)
-    least = np.where(model.sides_in_reach[modes], cost, np.inf).min(axis=1) / learned.temperature
-    estimate = unless_another_blur_fits(estimate, likelihood, modes, (far, near), least, model, options)
+    estimate = unless_another_blur_fits(
+        estimate, likelihood, modes, (far, near), cost / learned.temperature, model, options
+    )
     estimate = unless_beyond_reach(estimate, modes, side_odds(clues, learned), model)
     return unless_on_either_side(unless_negative(estimate, modes, cost, model), model)

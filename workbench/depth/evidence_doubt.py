@@ -71,9 +71,10 @@ def unless_another_blur_fits(
     likelihood
         float64 (D,): log-likelihood of the spectrum for each of the model's rows.
     modes, sides
-        Rows of its local maxima, and what sparseness adds to each on the far and on the near side.
+        Rows of its local maxima, and what restorations add to each on the far and on the near side.
     cost
-        float64 (M,): by how much what is impossible about each of them makes it less likely.
+        float64 (M, 2): by how much negative light makes each of them, far and near, less likely. A rival counts for
+        less by what it needs more than the answer does.
     model, options
         Rows' radii; what counts as close.
 
@@ -88,11 +89,13 @@ def unless_another_blur_fits(
     chosen = abs(model.psfs.radius_px(estimate.depth_mm))
     near = np.abs(radius - chosen) <= _SAME_PX
     own = float(likelihood[near].max()) if near.any() else float(likelihood.max())
+    needed = _cost_of(estimate, modes, cost, model)
     rivals: list[float] = []
     for index, row in enumerate(modes):
         low, high = sorted((float(radius[row]) + 0.5, chosen + 0.5))
         apart = high / low > options.close_ratio and high - low > _APART_PX
-        if apart and likelihood[row] - cost[index] > own - options.close_log_likelihood:
+        more = max(float(cost[index][model.sides_in_reach[row]].min()) - needed, 0.0)
+        if apart and likelihood[row] - more > own - options.close_log_likelihood:
             odds = float(sides[0][index] - sides[1][index])
             rivals += open_sides(float(radius[row]), odds, model.sides_in_reach[row], model, options)
     if not rivals:
@@ -165,16 +168,17 @@ def unless_negative(
     -------
     DepthEstimate
         The same, or ambiguous with an interval that holds every smaller blur on both sides of focus within the bank's
-        planes.
+        planes. What was ambiguous before keeps its reason.
     """
-    side = 0 if model.psfs.radius_px(estimate.depth_mm) > 0 else 1
-    if cost[_nearest_mode(estimate, modes, model), side] < _IMPOSSIBLE:
+    if _cost_of(estimate, modes, cost, model) < _IMPOSSIBLE:
         return estimate
     radius = abs(model.psfs.radius_px(estimate.depth_mm))
     near, far = (float(depth_mm) for depth_mm in model.depth_within_mm(np.array([-radius, radius])))
     interval = min(near, estimate.interval_mm[0]), max(far, estimate.interval_mm[1])
-    reason = "its light would have to be negative: its blur is smaller, or not the same all over"
-    return doubted(replace(estimate, interval_mm=interval), reason)
+    held = replace(estimate, interval_mm=interval)
+    if estimate.status != "ok":
+        return held
+    return doubted(held, "its light would have to be negative: its blur is smaller, on its other side, or not one")
 
 
 def unless_beyond_reach(
@@ -214,6 +218,12 @@ def unless_beyond_reach(
         "its sharp edges fit that side of focus better; use a bank that reaches so far"
     )
     return doubted(wider, reason)
+
+
+def _cost_of(estimate: DepthEstimate, modes: Sequence[int], cost: FloatArray, model: DepthModel) -> float:
+    """What the estimate's own mode costs on its side, of float64 (M, 2) for far and near."""
+    side = 0 if model.psfs.radius_px(estimate.depth_mm) > 0 else 1
+    return float(cost[_nearest_mode(estimate, modes, model), side])
 
 
 def _nearest_mode(estimate: DepthEstimate, modes: Sequence[int], model: DepthModel) -> int:

@@ -21,7 +21,7 @@ from calibration.bank import Bank
 from workbench.depth.evidence import observe
 from workbench.depth.evidence_model import LEARNED, DepthModel, EvidenceOptions, Learned, prepare
 from workbench.depth.evidence_posterior import find_modes, mode_scores, peak_of
-from workbench.depth.evidence_side import FAMILIES, STATISTICS, Comparison
+from workbench.depth.evidence_side import FAMILIES, SPARSENESS, Comparison
 from workbench.depth.evidence_textures import random_texture
 from workbench.depth.evidence_view import compare_sides
 
@@ -84,11 +84,11 @@ def learn(bank: Bank, seed: int = 0, samples: int = SAMPLES) -> dict[str, NDArra
 def fit_weights(samples: list[_Sample]) -> Learned:
     """Most probable weights given the samples and the defaults."""
     start = Learned()
-    units = np.array([np.log(2.0), *[0.2] * len(STATISTICS), *[10.0] * len(FAMILIES)])
+    units = np.array([np.log(2.0), *[0.2] * len(SPARSENESS), *[10.0] * len(FAMILIES)])
 
     def unpack(p: FloatArray) -> Learned:
         change = p * units
-        sides = 1 + len(STATISTICS)
+        sides = 1 + len(SPARSENESS)
         return replace(
             start,
             temperature=float(start.temperature * np.exp(change[0])),

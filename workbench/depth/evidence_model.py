@@ -11,16 +11,18 @@ from scipy import fft
 from calibration.bank import Bank
 from calibration.pupil import PsfModel, PupilModel, psf_model
 from workbench.depth.evidence_scan import TextureFactor
-from workbench.depth.evidence_side import STATISTICS
+from workbench.depth.evidence_side import SPARSENESS
 from workbench.depth.options import require
 
 FloatArray = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-LEARNED = "evidence_learned_3"
+LEARNED = "evidence_learned_2"
 """Name of :class:`Learned` among a bank's extras."""
 NATIVE_FINER = 2
 """Photosites a superpixel is wide."""
+_NEGATIVE_LIGHT = 1.5
+"""Log-odds of a side per standard error that its light is less negative."""
 _BEYOND_PX = 0.5
 """The grid of radii reaches so far beyond the bank's planes, so that a depth at their end has two sides."""
 _FARTHEST = 0.98
@@ -140,8 +142,7 @@ class Learned:
     outlier
         Probability that the whole reasoning fails.
     side_weights
-        Per filter family and order of the moment, log-odds of a side per standard error that it is sparser; and, the
-        last one, that its light is less negative.
+        Per filter family and order of the moment: log-odds of a side per standard error that it is sparser.
     mode_weights
         Per filter family: log-likelihood of a radius per unit of sparseness.
     """
@@ -150,8 +151,13 @@ class Learned:
     size_power: float = 0.25
     floor_px: float = 0.04
     outlier: float = 0.003
-    side_weights: tuple[float, ...] = (0.5, 0.2, 0.4, 0.1, 0.3, 0.2, 0.4, 0.1, 1.5)
+    side_weights: tuple[float, ...] = (0.5, 0.2, 0.4, 0.1, 0.3, 0.2, 0.4, 0.1)
     mode_weights: tuple[float, ...] = (30.0, 10.0, 0.0, 50.0)
+
+    @property
+    def favour_weights(self) -> FloatArray:
+        """Of all that two sides are compared by. The last one, of negative light, is not learned."""
+        return np.array([*self.side_weights, _NEGATIVE_LIGHT])
 
     def as_array(self) -> FloatArray:
         """Plain numbers, for a bank's extras."""
@@ -161,7 +167,7 @@ class Learned:
     @classmethod
     def from_array(cls, values: NDArray[np.floating]) -> Learned:
         """Inverse of :meth:`as_array`."""
-        numbers, statistics = [float(v) for v in values], len(STATISTICS)
+        numbers, statistics = [float(v) for v in values], len(SPARSENESS)
         temperature, size_power, floor_px, outlier = numbers[:4]
         weights = tuple(numbers[4 : 4 + statistics]), tuple(numbers[4 + statistics :])
         return cls(temperature, size_power, floor_px, outlier, *weights)

@@ -70,12 +70,12 @@ def negative_cost(clues: Sequence[Comparison]) -> FloatArray:
 
 def side_odds(clues: Sequence[Comparison], learned: Learned) -> FloatArray:
     """Log-odds of the far side against the near one at each mode, float64 (M,)."""
-    return np.asarray(np.stack([clue.favour for clue in clues]) @ np.array(learned.side_weights))
+    return np.asarray(np.stack([clue.favour for clue in clues]) @ learned.favour_weights)
 
 
 def half_odds(clues: Sequence[Comparison], learned: Learned) -> FloatArray:
     """The same by the halves of the region by themselves, float64 (M, 2, 2)."""
-    return np.asarray(np.stack([clue.halves for clue in clues]) @ np.array(learned.side_weights))
+    return np.asarray(np.stack([clue.halves for clue in clues]) @ learned.favour_weights)
 
 
 def open_sides(

@@ -53,7 +53,7 @@ class Patches:
         return np.asarray(fft.irfft2(self.spectra * filter_, s=(self.size, self.size)))
 
     def by_tile(self, values: Plane) -> NDArray[np.float64]:
-        """Sums of (W or 1, N, N) under the squared tapers over each tile; float64 (W, TILES, TILES)."""
+        """Sums of (W, N, N) under the squared tapers over each tile; float64 (W, TILES, TILES)."""
         return tile_sums(inner(values) * self.weights)
 
 

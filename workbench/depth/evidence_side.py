@@ -5,9 +5,8 @@ wrong one turns edges into ripples. Restorations are seen through several famili
 whitened derivatives along four directions, band-passes); for each, moments of |g| of order 0.8 (Levin et al. 2007 use
 the same exponent as the prior of gradients) and of order 4 are compared at equal mean square.
 
-Light is never negative, and no phases but the right ones keep a restoration of dark and bright detail from dipping
-below zero. How much of the image that part explains, blurred again so that ripples which the PSF takes away don't
-count, is compared like the sparseness is.
+Light is never negative, and with the wrong phases a restoration of dark and bright detail dips below zero. How much of
+the image that part explains is compared, too, blurred again so that ripples which the PSF takes away don't count.
 
 What counts is not the difference of the two restorations but the difference over its standard error, as found from
 the scatter between tiles of the region: a page with three letters on it makes large differences by chance, gravel makes
@@ -46,7 +45,8 @@ Complex = NDArray[np.complex64]
 
 FAMILIES = ("whitened", "wiener", "band 0.35", "band 0.18")
 """Filter families, four directions each."""
-STATISTICS = (*(f"{family}, order {order:g}" for family in FAMILIES for order in (0.8, 4.0)), "negative light")
+SPARSENESS = tuple(f"{family}, order {order:g}" for family in FAMILIES for order in (0.8, 4.0))
+STATISTICS = (*SPARSENESS, "negative light")
 """What :attr:`Comparison.favour` holds."""
 _SPARSE, _PEAKED = 0.8, 4.0
 _FLOORS = (0.003, 0.015)
@@ -77,7 +77,8 @@ class Comparison:
         float64 (2, len(FAMILIES)): mean over directions of log(mean |g|^0.8 / (mean g^2)^0.4); smaller is sparser.
     favour
         float64 (len(STATISTICS),): how many standard errors sparser the first PSF's restoration is, below 4 in size;
-        nearer to 0 where there are waves instead of edges to judge by. The last one: how many less negative it is.
+        nearer to 0 where there are waves instead of edges to judge by. The last one, of negative light, instead: how
+        much less of it, over the root of the sum of its tiles' squares; what is the same in n tiles is worth n^0.5.
     negative
         float64 (2,): share of the contrast's energy that the negative part of the restored light accounts for.
     halves
@@ -175,7 +176,7 @@ def _log_ratio(moment: FloatArray, square: FloatArray, order: float) -> FloatArr
 
 
 def _favour(moments: _Moments, windows: Sequence[Window]) -> FloatArray:
-    """Differences of the two log ratios over their standard errors, by family and order.
+    """Differences of the two log ratios over their standard errors, by family and order; then that of negative light.
 
     The standard error of a ratio of sums over a region follows from the scatter of its linearised parts (Cochran 1977,
     Sampling Techniques, 6.3), here of tiles a quarter of a window wide.

@@ -8,7 +8,7 @@ fails, the parts are read one by one.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -147,7 +147,9 @@ def _read(part: Part, view: View, model: DepthModel, learned: Learned, options: 
     best = int(likelihood.argmax())
     centre = peak_of(likelihood, radius, best)[0]
     centre = float(radius[best]) if np.isnan(centre) else centre
-    clue = compare_windows(view, thinned(part.windows, _SIDE_WINDOWS), centre, part.fit.texture(best), model)
+    # another depth's edges next to a part would need negative light on either side: not asked for
+    seen = replace(view, is_light=False)
+    clue = compare_windows(seen, thinned(part.windows, _SIDE_WINDOWS), centre, part.fit.texture(best), model)
     odds = float(side_odds([clue], learned)[0])
     sides = open_sides(centre, odds, model.sides_in_reach[_ROWS][best], model, options)
     held = radius[likelihood > likelihood[best] - _HELD]

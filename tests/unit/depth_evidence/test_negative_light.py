@@ -2,20 +2,28 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from typing import Any
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 from calibration.bank import Bank
-from tests.unit.depth_evidence.synthetic import draw_psf, photograph, radius_px
+from calibration.image import LinearImage
+from tests.unit.depth_evidence.synthetic import as_image, draw_psf, leaves, photograph, radius_px
 from tests.unit.depth_evidence.test_side import FAR, NEAR, SIDE, psfs, texture_spectrum
+from workbench.depth import evidence_view
 from workbench.depth.estimate import DepthEstimate
+from workbench.depth.evidence import estimate_evidence, observe
 from workbench.depth.evidence_doubt import unless_another_blur_fits, unless_negative
 from workbench.depth.evidence_model import DepthModel, EvidenceOptions, Learned, prepare
 from workbench.depth.evidence_posterior import mode_scores, negative_cost
 from workbench.depth.evidence_restoration import cut_patches, root_mean_square_gain, transfer_of, wiener
 from workbench.depth.evidence_side import STATISTICS, Comparison, compare, favour_by_window
+from workbench.depth.evidence_view import compare_sides
 from workbench.depth.evidence_windows import place_windows
+from workbench.depth.regions import whole
 
 INDEX = STATISTICS.index("negative light")
 NOISE = 0.003
@@ -119,10 +127,12 @@ def test_rival_that_would_need_negative_light_is_none(model: DepthModel) -> None
     likelihood = np.full(model.row_radius_px.size, -100.0)
     likelihood[modes] = 0.0, -1.0
     sides = np.zeros(2), np.zeros(2)
-    rivalled = unless_another_blur_fits(estimate, likelihood, modes, sides, np.zeros(2), model, options)
+    rivalled = unless_another_blur_fits(estimate, likelihood, modes, sides, np.zeros((2, 2)), model, options)
     assert rivalled.status == "ambiguous"
-    settled = unless_another_blur_fits(estimate, likelihood, modes, sides, np.array([0.0, 12.0]), model, options)
-    assert settled is estimate
+    costly = np.array([[0.0, 0.0], [12.0, 12.0]])
+    assert unless_another_blur_fits(estimate, likelihood, modes, sides, costly, model, options) is estimate
+    both = unless_another_blur_fits(estimate, likelihood, modes, sides, np.full((2, 2), 12.0), model, options)
+    assert both.status == "ambiguous"
 
 
 @pytest.mark.parametrize(("depth_mm", "costs"), [(FAR, (5.0, 0.0)), (NEAR, (0.0, 5.0))])
@@ -137,6 +147,10 @@ def test_answer_that_would_need_negative_light_is_doubted(
     assert low_mm <= 1.01 * NEAR
     assert high_mm >= 0.99 * FAR
     assert unless_negative(estimate, modes, np.array([costs[::-1]]), model) is estimate
+    known = replace(estimate, status="ambiguous", reason="something else", confidence=0.4)
+    again = unless_negative(known, modes, np.array([costs]), model)
+    assert (again.reason, again.confidence) == ("something else", 0.4)
+    assert again.interval_mm == doubted.interval_mm
 
 
 def test_interval_of_a_blur_that_is_too_large_ends_with_the_bank(model: DepthModel) -> None:
@@ -161,3 +175,59 @@ def test_noise_behind_a_filter_is_as_strong_as_its_gain_says() -> None:
     restoring = wiener(transfer_of(draw_psf(FAR).astype(np.float32), patches.size), ratio)
     whole = np.fft.irfft2(np.fft.rfft2(generator.standard_normal((patches.size, patches.size))) * restoring)
     assert whole.std() == pytest.approx(root_mean_square_gain(restoring), rel=0.02)
+
+
+def opponents(seed: int, depth_mm: float) -> LinearImage:
+    """Two colours of equal brightness: measured in a mixture that is negative where one of them prevails."""
+    plane = photograph(leaves(SIDE + 64, seed), depth_mm, noise=0.0).luminance
+    planes = np.stack([plane, 0.45 * np.ones_like(plane), 0.9 - plane], axis=-1)
+    noise = NOISE * np.random.default_rng(seed).standard_normal(planes.shape)
+    return as_image((planes + noise).astype(np.float32))
+
+
+def asked(image: LinearImage, bank: Bank, monkeypatch: pytest.MonkeyPatch) -> list[bool]:
+    """What each comparison of the sides was told about the plane, of a whole image measured."""
+    seen = []
+
+    def noted(*args: Any, is_light: bool, **rest: Any) -> Comparison:
+        seen.append(is_light)
+        return compare(*args, is_light=is_light, **rest)
+
+    monkeypatch.setattr(evidence_view, "compare", noted)
+    estimate_evidence(image, bank, whole(image.shape))
+    return seen
+
+
+def test_mixture_that_may_be_negative_is_no_light(bank: Bank, monkeypatch: pytest.MonkeyPatch) -> None:
+    told = asked(opponents(1, FAR), bank, monkeypatch)
+    assert told
+    assert not any(told)
+
+
+def test_luminance_is_light(bank: Bank, monkeypatch: pytest.MonkeyPatch) -> None:
+    told = asked(photograph(leaves(SIDE + 64, 1), FAR), bank, monkeypatch)
+    assert told
+    assert all(told)
+
+
+def test_parts_of_an_uneven_region_are_not_asked(bank: Bank, monkeypatch: pytest.MonkeyPatch) -> None:
+    planes = [photograph(leaves(SIDE + 64, seed), z).planes for seed, z in ((1, 1050.0), (2, 2100.0))]
+    told = asked(as_image(np.concatenate(planes, axis=1)), bank, monkeypatch)
+    assert told.count(False) >= 2
+    assert told.count(True) >= 1
+
+
+def test_letters_taken_for_points_behind_a_large_blur_are_told(bank: Bank) -> None:
+    """Dark bars on a bright ground next to focus: without the clue the largest blur within reach explains them too."""
+    texture = np.full((SIDE + 64, SIDE + 64), 0.9)
+    for row in range(10, SIDE + 64, 40):
+        for column in range(10, SIDE + 64, 40):
+            texture[row : row + 24, column : column + 6] = 0.05
+    image = photograph(texture, 1800.0)
+    model = prepare(bank, EvidenceOptions())
+    seen = observe(image.luminance, np.ones(image.shape, np.bool_), model, EvidenceOptions())
+    assert seen is not None
+    modes = [row_at(model, 1800.0), row_at(model, 850.0)]
+    costs = negative_cost(compare_sides(seen.view, seen.photosites, modes, model, EvidenceOptions()))
+    assert costs[0].max() < 0.5
+    assert costs[1].min() > 4.0
