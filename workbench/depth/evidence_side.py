@@ -269,9 +269,11 @@ def _explained_by_negative(patches: Patches, transfer: Complex, ratio: Plane, lo
     below = np.minimum(
         patches.filtered(restoring) - least[:, np.newaxis, np.newaxis].astype(np.float32), np.float32(0.0)
     )
-    if not below.any():
-        return np.zeros_like(patches.values)
-    return np.asarray(fft.irfft2(fft.rfft2(below) * transfer, s=(patches.size, patches.size)))
+    explained = np.zeros_like(patches.values)
+    some = below.any(axis=(1, 2))
+    if some.any():
+        explained[some] = fft.irfft2(fft.rfft2(below[some]) * transfer, s=(patches.size, patches.size))
+    return explained
 
 
 @compiled
