@@ -249,21 +249,21 @@ def _moments(patches: Patches, psfs: Sequence[Plane], texture: TextureSpectrum, 
     ratio = texture_over_noise(texture, patches.size)
     for i, psf in enumerate(psfs):
         transfer = transfer_of(psf, patches.size)
-        for j, filters in enumerate(_filters(transfer, ratio)):
+        restoring = wiener(transfer, ratio)
+        for j, filters in enumerate(_filters(transfer, restoring, ratio)):
             for k, filt in enumerate(filters):
                 response = inner(patches.filtered(filt))
                 square = response * response
                 root = (square + np.float32(_TINY)) ** np.float32(_SPARSE / 2)
                 _add_moments(root, square, patches.weights, found[:, i, j, k])
         if is_light:
-            negative[i] = patches.by_tile(_explained_by_negative(patches, transfer, ratio, texture.log_noise) ** 2)
+            negative[i] = patches.by_tile(_explained_by_negative(patches, transfer, restoring, texture.log_noise) ** 2)
     contrast = patches.by_tile(patches.values**2)
     return _Moments(found[0], found[1], found[2], negative, contrast, tile_sums(patches.weights))
 
 
-def _explained_by_negative(patches: Patches, transfer: Complex, ratio: Plane, log_noise: float) -> Plane:
+def _explained_by_negative(patches: Patches, transfer: Complex, restoring: Complex, log_noise: float) -> Plane:
     """The part of each patch that the negative part of its restored light would account for, float32 (W, N, N)."""
-    restoring = wiener(transfer, ratio)
     noise = np.exp(0.5 * log_noise) * root_mean_square_gain(restoring)
     least = (_DARKEST - 1.0) * np.maximum(patches.levels, 0.0) - _DARKEST_NOISE * noise
     below = np.minimum(
@@ -296,10 +296,10 @@ def _add_moments(root: Plane, square: Plane, weights: Plane, sums: FloatArray) -
                 sums[2, w, row // tile, b] += peaked
 
 
-def _filters(transfer: Complex, ratio: Plane) -> Iterator[list[Complex]]:
+def _filters(transfer: Complex, restoring: Complex, ratio: Plane) -> Iterator[list[Complex]]:
     """Family by family, the filters in four directions that restore what a transfer function blurred.
 
-    ``ratio`` is the power of texture over noise, float32 (N, N // 2 + 1).
+    ``restoring`` is its Wiener filter, ``ratio`` the power of texture over noise, float32 (N, N // 2 + 1).
     """
     shapes = _shapes(ratio.shape[0])
     modulus = np.abs(transfer)
@@ -308,7 +308,7 @@ def _filters(transfer: Complex, ratio: Plane) -> Iterator[list[Complex]]:
     phase = np.conj(transfer) / np.maximum(modulus, np.float32(1e-9))
     white = phase * snr / np.sqrt(gain + 1.0)
     softer = phase * np.sqrt(snr) / np.sqrt(gain + 1.0)
-    for restored, shape in ((white, shapes[0]), (wiener(transfer, ratio), shapes[1]),
+    for restored, shape in ((white, shapes[0]), (restoring, shapes[1]),
                             *((softer, shape) for shape in shapes[2:])):  # fmt: skip
         yield [restored * direction for direction in shape]
 
