@@ -88,18 +88,19 @@ def write_json(path: Path, value: Any) -> None:
 
 @contextmanager
 def staged_files(directory: Path) -> Iterator[Path]:
-    """Give an empty temporary directory; when the block ends well, move its files into ``directory``.
+    """Give an empty temporary directory; when the block ends well, move its files and folders into ``directory``.
 
-    Files are made elsewhere and renamed one by one, so that none is ever half written; other files in
+    They are made elsewhere and renamed one by one, so that none is ever half written; other files in
     ``directory`` stay. When the block fails nothing is left behind.
     """
     with made_directory(directory):
         temporary = Path(tempfile.mkdtemp(dir=directory, prefix=".making."))
         try:
             yield temporary
-            for path in sorted(temporary.iterdir()):
-                with path.open("rb") as handle:
-                    os.fsync(handle.fileno())
+            for path in sorted(temporary.rglob("*")):
+                if path.is_file():
+                    with path.open("rb") as handle:
+                        os.fsync(handle.fileno())
             for path in sorted(temporary.iterdir()):
                 path.replace(directory / path.name)
             sync_directory(directory)

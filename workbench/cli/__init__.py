@@ -22,7 +22,7 @@ COMMANDS = {
     "capture": "workbench.cli.measure:capture",
     "bank": "workbench.cli.banks:bank",
     "demo": "workbench.cli.demo:demo",
-    "bench": "workbench.cli.bench_field:bench",
+    "bench": "workbench.cli.bench_commands:bench",
 }
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
-from workbench.depth.compiled import compiled
+from workbench.compiled import compiled
 from workbench.depth.evidence_windows import Window, cut_out, hann
 
 FloatArray = NDArray[np.float64]

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import gammaln
 
-from workbench.depth.compiled import compiled
+from workbench.compiled import compiled
 
 FloatArray = NDArray[np.float64]
 Float32 = NDArray[np.float32]

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
-from workbench.depth.compiled import compiled
+from workbench.compiled import compiled
 from workbench.depth.evidence_restoration import (
     TILES,
     Patches,

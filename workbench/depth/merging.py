@@ -16,7 +16,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from workbench.depth.compiled import compiled
+from workbench.compiled import compiled
 
 _LEVELS = 256
 

@@ -31,7 +31,7 @@ import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
-from workbench.depth.compiled import compiled
+from workbench.compiled import compiled
 
 Borders = Literal["weighted", "dark"]
 """``weighted``: light from outside the frame is accounted for. ``dark``: beyond the frame is black, as in plain

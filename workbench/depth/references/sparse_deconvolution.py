@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
-from workbench.depth.compiled import compiled
+from workbench.compiled import compiled
 
 FloatImage = NDArray[np.float32]
 

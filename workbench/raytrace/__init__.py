@@ -1,0 +1,1 @@
+"""Photographs made by tracing rays: a second opinion that shares no code with simulator or estimators."""
