@@ -152,7 +152,7 @@ class Learned:
     floor_px: float = 0.04
     outlier: float = 0.003
     side_weights: tuple[float, ...] = (0.5, 0.2, 0.4, 0.1, 0.3, 0.2, 0.4, 0.1)
-    mode_weights: tuple[float, ...] = (30.0, 10.0, 0.0, 50.0)
+    mode_weights: tuple[float, ...] = (21.0, 7.0, 0.0, 35.0)
 
     @property
     def favour_weights(self) -> FloatArray:

@@ -7,10 +7,13 @@ factor is what keeps periodic, sparse and text-like textures from breaking the m
 second component and is integrated out, so that a spectral line, or a gap between lines, counts as a surprise of
 bounded size, and what decides is where the blur's zeros leave nothing but noise. ``S`` and ``n`` are fitted anew for
 every blur by Fisher scoring from the fit of the blur before, mostly two steps (:mod:`~workbench.depth.evidence_scan`).
+Where the best blur leaves lines through the origin unexplained, the texture has straight edges, and all blurs are
+fitted once more with a ridge of ``S`` along each of them (:mod:`~workbench.depth.evidence_ridges`).
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -18,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
+from workbench.depth.evidence_ridges import UNEXPLAINED, VISIBLE, ridge_directions
 from workbench.depth.evidence_scan import TextureFactor, likelihood_tables, noise_alone, scan_blurs
 
 FloatArray = NDArray[np.float64]
@@ -28,9 +32,11 @@ _SLOPE, _SLOPE_SD = -2.4, 0.8
 _BEND_SD = 0.8
 """Expected change of that slope from knot to knot, times the knots' distance."""
 _DIRECTION_SD = 0.8
-_RIDGE_SD, _NO_RIDGE_SD = 2.0, 0.01
-"""How steeply a ridge of power along the texture's axis, or across it, may fall off, where a texture may have one. Wood
-grain, planks and shelves hold nearly all of their power within a few frequencies of a line through the origin."""
+_RIDGE_SD = 2.0
+"""How steeply a ridge of power may fall off. Wood grain, planks and shelves hold nearly all of their power within a few
+frequencies of a line through the origin."""
+_RIDGE_ROUNDS = 2
+"""How often lines are sought in what is left unexplained."""
 _ABOVE_NOISE = 1.5
 """Log power over the noise from which on a frequency tells of the texture by itself."""
 _FEW_AVERAGES = 3.5
@@ -50,13 +56,15 @@ class Band:
     highest
         Higher frequencies are left out.
     ridge_width
-        Of a ridge of power along the texture's axis or across it.
+        Of a ridge of power.
     roll_off
         Log S may fall, or rise, by ``(f / roll_off)^2`` times a coefficient of the order of 1: the texture's own
         softness. 0 for no such term.
     ridges_from
-        Textures have ridges where one direction holds so much more of the gradients' power than the other, 0 to 1
-        (the structure tensor's coherence). 0 for all of them.
+        Textures have ridges along and across their axis where one direction holds so much more of the gradients' power
+        than the other, 0 to 1 (the structure tensor's coherence). 0 for all of them.
+    more_ridges
+        Whether ridges are sought in other directions, too.
     """
 
     knots: tuple[float, ...] = (0.02, 0.045, 0.09, 0.18, 0.36)
@@ -64,6 +72,7 @@ class Band:
     ridge_width: float = 0.012
     roll_off: float = 0.0
     ridges_from: float = 0.5
+    more_ridges: bool = True
 
     @property
     def log_knots(self) -> FloatArray:
@@ -72,7 +81,7 @@ class Band:
 
 
 SUPERPIXELS = Band()
-PHOTOSITES = Band((0.01, 0.0225, 0.045, 0.09, 0.18, 0.36), 0.36, 0.006, 0.25, ridges_from=0.0)
+PHOTOSITES = Band((0.01, 0.0225, 0.045, 0.09, 0.18, 0.36), 0.36, 0.006, 0.25, ridges_from=0.0, more_ridges=False)
 """At half the pitch. The colour filters' carriers lie beyond it, and so does most of what the demosaicing kernel takes
 away. Few textures keep falling as a power of frequency up to there: prints and paint have a finest detail."""
 
@@ -91,9 +100,8 @@ class SpectralFit:
         float64 (D, P): log S on its basis.
     log_noise
         float64 (D,): log n.
-    axis
-        Direction (rad) in the frequency plane that holds most of the power; the basis has ridges along and across it,
-        near 0 where the texture has none (:attr:`Band.ridges_from`).
+    ridges
+        Directions (rad) in the frequency plane along which the basis has ridges.
     band
         Frequencies that were used.
     """
@@ -102,26 +110,26 @@ class SpectralFit:
     null: float
     coefficients: FloatArray
     log_noise: FloatArray
-    axis: float
+    ridges: tuple[float, ...]
     band: Band = SUPERPIXELS
 
     def texture(self, row: int) -> TextureSpectrum:
         """What was fitted for one blur."""
-        return TextureSpectrum(self.coefficients[row], float(self.log_noise[row]), self.axis, self.band)
+        return TextureSpectrum(self.coefficients[row], float(self.log_noise[row]), self.ridges, self.band)
 
 
 @dataclass(frozen=True, slots=True)
 class TextureSpectrum:
-    """Texture and noise fitted for one blur: log S on its basis, float64 (P,), log n, and the basis's axis (rad)."""
+    """Texture and noise fitted for one blur: log S on its basis, float64 (P,), log n, and the basis's ridges (rad)."""
 
     coefficients: FloatArray
     log_noise: float
-    axis: float
+    ridges: tuple[float, ...]
     band: Band = SUPERPIXELS
 
     def log_power(self, modulus: FloatArray, direction: FloatArray) -> FloatArray:
         """Log S at flattened frequencies, float64 (F,)."""
-        return np.asarray(basis(modulus, direction, self.axis, self.band) @ self.coefficients)
+        return np.asarray(basis(modulus, direction, self.ridges, self.band) @ self.coefficients)
 
 
 @lru_cache(maxsize=16)
@@ -136,10 +144,10 @@ def frequencies(size: int, band: Band = SUPERPIXELS) -> tuple[FloatArray, FloatA
     return modulus, direction, used
 
 
-def basis(modulus: FloatArray, direction: FloatArray, axis: float, band: Band = SUPERPIXELS) -> FloatArray:
+def basis(modulus: FloatArray, direction: FloatArray, ridges: Sequence[float], band: Band = SUPERPIXELS) -> FloatArray:
     """Basis of log S for flattened frequencies, float64 (F, P).
 
-    Radial hats, gentle turns, the roll-off where the band has one, ridges along and across.
+    Radial hats, gentle turns, the roll-off where the band has one, ridges.
     """
     knots = band.log_knots
     u = np.log(np.maximum(modulus, 1e-4))
@@ -151,10 +159,9 @@ def basis(modulus: FloatArray, direction: FloatArray, axis: float, band: Band = 
     fine = np.clip((u - knots[0]) / (knots[-1] - knots[0]), 0.0, 1.0)
     c2, s2 = np.cos(2 * direction), np.sin(2 * direction)
     turns = [c2 * (1 - fine), c2 * fine, s2 * (1 - fine), s2 * fine, np.cos(4 * direction), np.sin(4 * direction)]
-    away = (modulus * np.sin(direction - axis), modulus * np.cos(direction - axis))
-    ridges = [-np.log1p((f / band.ridge_width) ** 2) for f in away]
+    lines = [-np.log1p((modulus * np.sin(direction - ridge) / band.ridge_width) ** 2) for ridge in ridges]
     soft = [-((np.minimum(modulus, band.highest) / band.roll_off) ** 2)] if band.roll_off else []
-    return np.concatenate([hats, np.stack(turns + soft + ridges, axis=1)], axis=1)
+    return np.concatenate([hats, np.stack(turns + soft + lines, axis=1)], axis=1)
 
 
 def _axis(power: FloatArray, modulus: FloatArray, direction: FloatArray) -> tuple[float, float]:
@@ -165,7 +172,7 @@ def _axis(power: FloatArray, modulus: FloatArray, direction: FloatArray) -> tupl
     return 0.5 * float(np.angle(turn)), float(np.abs(turn) / max(float(weight.sum()), 1e-30))
 
 
-def _prior(width: int, log_knots: FloatArray, ridge_sd: float) -> tuple[FloatArray, FloatArray]:
+def _prior(width: int, log_knots: FloatArray, ridges: int) -> tuple[FloatArray, FloatArray]:
     """Precision and precision times mean of the Gaussian prior on the basis's coefficients."""
     knots = log_knots.size
     rows, values = [], []
@@ -180,7 +187,7 @@ def _prior(width: int, log_knots: FloatArray, ridge_sd: float) -> tuple[FloatArr
         values.append(0.0)
     for j in range(knots, width):
         turn = np.zeros(width)
-        turn[j] = 1.0 / (_DIRECTION_SD if j < width - 2 else ridge_sd)
+        turn[j] = 1.0 / (_DIRECTION_SD if j < width - ridges else _RIDGE_SD)
         rows.append(turn)
         values.append(0.0)
     design, target = np.array(rows), np.array(values)
@@ -194,7 +201,7 @@ def fit_spectra(
     *,
     correlation: float = 0.3,
     factor: TextureFactor | None = None,
-    start: tuple[FloatArray, float] | None = None,
+    start: TextureSpectrum | None = None,
     steps: int = 2,
     band: Band = SUPERPIXELS,
 ) -> SpectralFit:
@@ -214,36 +221,67 @@ def fit_spectra(
     factor
         The texture's factor per frequency.
     start
-        Coefficients and log noise to start from; without them they are sought for the first blur.
+        Texture and noise to start from, whose ridges are kept; without it they are sought for the first blur.
     steps
         Fisher scoring steps for each blur.
     band
         Frequencies that count.
     """
-    factor = factor or TextureFactor()
-    size = power.shape[0]
-    modulus, direction, used = frequencies(size, band)
-    axis, coherence = _axis(power[used], modulus[used], direction[used])
-    terms = basis(modulus[used], direction[used], axis, band)
+    modulus, direction, used = frequencies(power.shape[0], band)
+    f, turn = modulus[used], direction[used]
     log_power = np.log(np.maximum(power[used], 1e-16)).astype(np.float32)
     log_expected = np.log(np.maximum(expected[:, used], 1e-9)).astype(np.float32)
-    tables = likelihood_tables(averages, factor)
-    ridge_sd = _RIDGE_SD if coherence >= band.ridges_from else _NO_RIDGE_SD
-    precision, pull = _prior(terms.shape[1], band.log_knots, ridge_sd)
+    tables = likelihood_tables(averages, factor or TextureFactor())
     # the lowest tenth is noise, or less than texture
     tenth = max(float(np.percentile(power[used], 10)), 1e-16)
     noise = float(np.log(tenth / (0.3 if averages < _FEW_AVERAGES else 1.0)))
-    arguments = (np.ascontiguousarray(terms.T, np.float32), precision, pull)
-    if start is None:
-        # least squares where there is more than noise, and at the lowest frequencies in any case
-        usable = (log_power > noise + _ABOVE_NOISE) | (modulus[used] < band.knots[1] * 1.4)
-        seen, target = terms[usable], log_power[usable] - log_expected[0, usable]
-        first = np.linalg.solve(precision + seen.T @ seen + 1e-6 * np.eye(len(pull)), pull + seen.T @ target)
-        _, warm, warm_noise = scan_blurs(
-            log_power, log_expected[:1], *arguments, first, noise, noise, 12, correlation, *tables
+
+    def scan(ridges: tuple[float, ...]) -> SpectralFit:
+        terms = basis(f, turn, ridges, band)
+        precision, pull = _prior(terms.shape[1], band.log_knots, len(ridges))
+        arguments = (np.ascontiguousarray(terms.T, np.float32), precision, pull)
+        if start is None:
+            # least squares where there is more than noise, and at the lowest frequencies in any case
+            usable = (log_power > noise + _ABOVE_NOISE) | (f < band.knots[1] * 1.4)
+            seen, target = terms[usable], log_power[usable] - log_expected[0, usable]
+            first = np.linalg.solve(precision + seen.T @ seen + 1e-6 * np.eye(len(pull)), pull + seen.T @ target)
+            _, warm, warm_noise = scan_blurs(
+                log_power, log_expected[:1], *arguments, first, noise, noise, 12, correlation, *tables
+            )
+            begin = warm[0], float(warm_noise[0])
+        else:
+            begin = start.coefficients, start.log_noise
+        likelihood, coefficients, log_noise = scan_blurs(
+            log_power, log_expected, *arguments, *begin, noise, steps, correlation, *tables
         )
-        start = warm[0], float(warm_noise[0])
-    likelihood, coefficients, log_noise = scan_blurs(
-        log_power, log_expected, *arguments, *start, noise, steps, correlation, *tables
-    )
-    return SpectralFit(likelihood, noise_alone(log_power, tables[0], correlation), coefficients, log_noise, axis, band)
+        null = noise_alone(log_power, tables[0], correlation)
+        return SpectralFit(likelihood, null, coefficients, log_noise, ridges, band)
+
+    if start is not None:
+        return scan(start.ridges)
+    axis, coherence = _axis(power[used], f, turn)
+    fit = scan((axis, axis + np.pi / 2) if coherence >= band.ridges_from else ())
+    return _with_more_ridges(fit, power, expected, scan) if band.more_ridges else fit
+
+
+def _with_more_ridges(
+    fit: SpectralFit, power: FloatArray, expected: Float32, scan: Callable[[tuple[float, ...]], SpectralFit]
+) -> SpectralFit:
+    """Fit again with ridges along lines that the best blur leaves unexplained, and then along all that are seen.
+
+    Lines that a right blur explains are the aperture's own edges, and no ridges of the texture.
+    """
+    modulus, direction, used = frequencies(power.shape[0], fit.band)
+    level = np.log(np.maximum(power, 1e-16))
+    for _ in range(_RIDGE_ROUNDS):
+        row = int(fit.log_likelihood.argmax())
+        texture = fit.texture(row)
+        blurred = texture.log_power(modulus[used], direction[used]) + np.log(np.maximum(expected[row][used], 1e-9))
+        left = np.zeros(power.shape)
+        left[used] = level[used] - np.logaddexp(blurred, texture.log_noise)
+        more = ridge_directions(left, fit.ridges, UNEXPLAINED)
+        if not more:
+            break
+        ridges = (*fit.ridges, *more)
+        fit = scan((*ridges, *ridge_directions(level, ridges, VISIBLE)))
+    return fit

@@ -172,9 +172,8 @@ def refine(
     else:
         sigma = radius
     expected = smeared_power(model.lags_at(sigma, view.finer), view.pooled.taper_lags, view.pooled.power.shape[0])
-    start = view.fit.coefficients[row], float(view.fit.log_noise[row])
     fit = fit_spectra(view.pooled.power, view.pooled.trusted, expected, factor=options.factor,
-                      start=start, steps=_REFINED_FISHER_STEPS, band=view.fit.band)  # fmt: skip
+                      start=view.fit.texture(row), steps=_REFINED_FISHER_STEPS, band=view.fit.band)  # fmt: skip
     return Refined(radius, fit.log_likelihood + offset)
 
 

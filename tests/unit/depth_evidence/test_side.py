@@ -20,12 +20,12 @@ FAR, NEAR = 2400.0, 1200.0
 def texture_spectrum() -> TextureSpectrum:
     """Falls as 1/f^2, a thousand times over the noise at a tenth of a cycle per pixel."""
     modulus = np.geomspace(0.02, 0.4, 50)
-    terms = basis(modulus, np.zeros_like(modulus), 0.0)
+    terms = basis(modulus, np.zeros_like(modulus), ())
     wanted = np.log(0.003**2) + np.log(1e3) - 2.0 * np.log(modulus / 0.1)
     coefficients = np.zeros(terms.shape[1])
     hats = slice(0, 5)
     coefficients[hats] = np.linalg.lstsq(terms[:, hats], wanted, rcond=None)[0]
-    return TextureSpectrum(coefficients, float(np.log(0.003**2)), 0.0)
+    return TextureSpectrum(coefficients, float(np.log(0.003**2)), ())
 
 
 def psfs() -> list[NDArray[np.float32]]:

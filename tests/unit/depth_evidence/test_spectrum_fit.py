@@ -76,9 +76,11 @@ def test_ridges_are_kept_out_of_textures_without_a_direction() -> None:
     power[used] = 1e-4 / modulus[used] ** 2
     power[used] /= np.sqrt(1.0 + (modulus[used] * np.sin(direction[used]) / 0.05) ** 2)
     flat = np.ones((1, *modulus.shape), np.float32)
-    ridges = [
-        np.abs(fit_spectra(power, 20.0, flat, band=replace(SUPERPIXELS, ridges_from=least)).coefficients[0, -2:]).max()
+    with_axis, without = (
+        fit_spectra(power, 20.0, flat, band=replace(SUPERPIXELS, ridges_from=least, more_ridges=False))
         for least in (0.0, 0.999)
-    ]
-    assert ridges[0] > 0.1
-    assert ridges[1] < 0.01
+    )
+    assert len(with_axis.ridges) == 2
+    assert np.abs(with_axis.coefficients[0, -2:]).max() > 0.1
+    assert without.ridges == ()
+    assert without.coefficients.shape[1] == with_axis.coefficients.shape[1] - 2

@@ -1,0 +1,91 @@
+"""Lines in spectra: found where edges make them, and told from those of the aperture."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+
+from calibration.bank import Bank
+from tests.unit.depth_evidence.synthetic import leaves, photograph
+from workbench.depth import evidence_spectrum
+from workbench.depth.evidence import EvidenceOptions, estimate_evidence, observe, prepare
+from workbench.depth.evidence_ridges import MOST_RIDGES, UNEXPLAINED, VISIBLE, ridge_directions
+from workbench.depth.evidence_spectrum import frequencies
+
+SIZE = 128
+
+
+def log_power(lines: dict[float, float], seed: int = 1, size: int = SIZE) -> np.ndarray:
+    """A falling spectrum, averaged over 8 windows, with lines of these directions (degrees) and heights."""
+    modulus, direction, _ = frequencies(size)
+    level = -2.0 * np.log(np.maximum(modulus, 1 / size))
+    for degrees, height in lines.items():
+        away = modulus * size * np.sin(direction - np.radians(degrees))
+        level += height * np.exp(-0.5 * (away / 1.0) ** 2)
+    return level + np.log(np.random.default_rng(seed).gamma(8.0, 1 / 8.0, level.shape))
+
+
+def degrees(found: tuple[float, ...]) -> list[float]:
+    return sorted(np.degrees(found).tolist())
+
+
+@pytest.mark.parametrize("size", [32, 64, 128])
+def test_spectra_without_a_direction_have_no_lines(size: int) -> None:
+    for seed in range(20):
+        level = log_power({}, seed, size)
+        assert ridge_directions(level, (), VISIBLE) == ridge_directions(level, (), UNEXPLAINED) == ()
+
+
+def test_lines_are_found_the_highest_first() -> None:
+    found = ridge_directions(log_power({20.0: 3.0, -50.0: 2.0, 89.5: 4.0}), (), VISIBLE)
+    assert np.degrees(found) % 180.0 == pytest.approx([89.5, 20.0, 130.0], abs=2.0)
+
+
+def test_known_lines_are_not_found_again_even_across_the_half_plane_s_end() -> None:
+    level = log_power({89.0: 3.0, 20.0: 3.0})
+    assert degrees(ridge_directions(level, (np.radians(-89.0),), VISIBLE)) == pytest.approx([20.0], abs=2.0)
+
+
+def test_faint_lines_are_none() -> None:
+    assert ridge_directions(log_power({20.0: 0.5}), (), VISIBLE) == ()
+
+
+def test_there_are_never_more_than_a_basis_can_hold() -> None:
+    level = log_power(dict.fromkeys(np.arange(-85.0, 90.0, 20.0).tolist(), 4.0))
+    assert len(ridge_directions(level, (0.1, 0.5), VISIBLE)) == MOST_RIDGES - 2
+
+
+def sign(side: int, seed: int) -> np.ndarray:
+    """Large letters of straight strokes."""
+    generator = np.random.default_rng(seed)
+    canvas = np.full((4 * side, 4 * side), 235, np.uint8)
+    for row in range(1, 4):
+        for column in range(3):
+            letter, where = str(generator.choice(list("EKWYZAVMN"))), (360 * column + 40, 380 * row)
+            cv2.putText(canvas, letter, where, cv2.FONT_HERSHEY_SIMPLEX, 10.4, 20, 52, cv2.LINE_8)
+    return cv2.resize(canvas, (side, side), interpolation=cv2.INTER_AREA) / 255.0 * 0.9
+
+
+@pytest.mark.parametrize("seed", [2, 6])
+def test_sharp_letters_are_in_focus(bank: Bank, monkeypatch: pytest.MonkeyPatch, seed: int) -> None:
+    """Without lines they are called ambiguous, or far off."""
+    image = photograph(sign(300, seed), 1600.0, seed=seed)
+    region = np.ones(image.shape, np.int32)
+    found = estimate_evidence(image, bank, region)[1]
+    assert found.depth_mm == pytest.approx(1600.0, abs=100.0)
+    assert found.status == "ok"
+    monkeypatch.setattr(evidence_spectrum, "ridge_directions", lambda *_: ())
+    without = estimate_evidence(image, bank, region)[1]
+    assert without.status == "ambiguous"
+    assert abs(without.depth_mm - 1600.0) > 100.0
+
+
+def test_the_aperture_s_own_edges_are_no_ridges_of_the_texture(bank: Bank) -> None:
+    image = photograph(leaves(340, 3), 3000.0)
+    model = prepare(bank, EvidenceOptions())
+    seen = observe(image.luminance, np.ones(image.shape, np.bool_), model, EvidenceOptions())
+    assert seen is not None
+    assert seen.view.fit.ridges == ()
+    level = np.log(seen.view.pooled.power)
+    assert ridge_directions(level, (), VISIBLE) != ()  # though they are seen
