@@ -42,6 +42,8 @@ _MOST_CHROMA = 0.4
 """Of textures with three independent channels mixed into a grey one, depths next to focus were right up to 0.45 and in
 focus, wherever they truly were, from 0.7 on; colour photographs have 0.02 to 0.6."""
 _ANCHOR_ROWS = 3
+_MOST_LIFTED = 10.0
+"""Log-likelihood by which photosites may lift the best blur next to focus over what superpixels say of the best there."""
 _NATIVE_FISHER_STEPS = 2
 _MOST_NATIVE_WINDOWS, _NATIVE_SIDE_WINDOWS = 25, 5
 """Of a large region: one window of photosites costs as much as four of superpixels, and five that lie apart see more
@@ -132,7 +134,9 @@ def _enlarged(values: NDArray[np.float32]) -> NDArray[np.float32]:
 def joined_likelihood(superpixels: View, photosites: View | None) -> FloatArray:
     """Log-likelihood of every row, float64 (R,): that of superpixels, its shape next to focus by photosites.
 
-    The two are of different data and differ by a constant, which is taken from the last rows that both have.
+    The two are of different data and differ by a constant, which is taken from the last rows that both have; but where
+    the blur is larger than all of these, both fit badly there, and photosites could lift a blur next to focus over the
+    true one. So they lift the best one by little over what superpixels say.
     """
     likelihood = superpixels.fit.log_likelihood
     if photosites is None:
@@ -149,8 +153,8 @@ def view_of(superpixels: View, photosites: View | None, row: int) -> View:
 
 def _offset(superpixels: View, photosites: View) -> float:
     rows = photosites.fit.log_likelihood.size
-    shared = slice(rows - _ANCHOR_ROWS, rows)
-    return float((superpixels.fit.log_likelihood[shared] - photosites.fit.log_likelihood[shared]).mean())
+    coarse, fine = superpixels.fit.log_likelihood[:rows], photosites.fit.log_likelihood
+    return float(min((coarse - fine)[-_ANCHOR_ROWS:].mean(), coarse.max() - fine.max() + _MOST_LIFTED))
 
 
 def refine(

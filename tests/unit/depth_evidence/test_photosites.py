@@ -13,6 +13,9 @@ from calibration.mosaic import Mosaic, superpixels
 from tests.unit.depth_evidence.synthetic import HALF, as_image, leaves, make_bank, photograph_mosaic, with_pupil
 from workbench.depth.estimate import DepthEstimate
 from workbench.depth.evidence import EvidenceOptions, estimate_evidence
+from workbench.depth.evidence_periodogram import Pooled
+from workbench.depth.evidence_spectrum import SpectralFit
+from workbench.depth.evidence_view import View, joined_likelihood
 from workbench.depth.evidence_windows import Window, thinned
 from workbench.depth.regions import whole
 
@@ -115,3 +118,23 @@ def test_few_windows_are_spread_over_a_region() -> None:
     assert thinned(grid, 30) == grid
     assert {(w.row, w.column) for w in thinned(grid, 5)} == {(8, 8), (0, 0), (0, 16), (16, 0), (16, 16)}
     assert [(w.row, w.column) for w in thinned(grid, 1)] == [(8, 8)]
+
+
+def seen(log_likelihood: list[float]) -> View:
+    """A view of which nothing but the fits' likelihood counts."""
+    values, empty = np.array(log_likelihood), np.zeros(0, np.float32)
+    fit = SpectralFit(values, 0.0, np.zeros((values.size, 0)), np.zeros(values.size), ())
+    return View(empty, empty, empty, [], Pooled(np.zeros((0, 0)), 1.0, np.zeros((0, 0))), fit)
+
+
+def test_photosites_give_the_shape_next_to_focus_and_superpixels_its_level() -> None:
+    superpixels = seen([-10.0, -12.0, -30.0, -31.0, -32.0, -60.0])
+    joined = joined_likelihood(superpixels, seen([100.0, 90.0, 80.0, 79.0, 78.0]))
+    np.testing.assert_allclose(joined, [-10.0, -20.0, -30.0, -31.0, -32.0, -60.0])
+
+
+def test_photosites_lift_no_blur_next_to_focus_far_over_a_larger_one() -> None:
+    """Their last rows fit badly where the blur is larger than all of them."""
+    superpixels = seen([-37.0, -32.0, -80.0, -70.0, -60.0, 0.0])
+    joined = joined_likelihood(superpixels, seen([90.0, 100.0, 10.0, 5.0, 0.0]))
+    np.testing.assert_allclose(joined, [-32.0, -22.0, -112.0, -117.0, -122.0, 0.0])
