@@ -43,7 +43,7 @@ _MOST_CHROMA = 0.4
 focus, wherever they truly were, from 0.7 on; colour photographs have 0.02 to 0.6."""
 _ANCHOR_ROWS = 3
 _MOST_LIFTED = 10.0
-"""Log-likelihood by which photosites may lift the best blur next to focus over what superpixels say of the best there."""
+"""Log-likelihood by which photosites may lift the best blur next to focus over superpixels' best one there."""
 _NATIVE_FISHER_STEPS = 2
 _MOST_NATIVE_WINDOWS, _NATIVE_SIDE_WINDOWS = 25, 5
 """Of a large region: one window of photosites costs as much as four of superpixels, and five that lie apart see more
