@@ -44,6 +44,7 @@ class FrameTags:
     serial: str
     black: int
     white: int
+    software: str = "depth-workbench simulated rig"
 
 
 def write_dng(
@@ -112,7 +113,7 @@ def encode_dng(mosaic: NDArray[np.uint16], tags: FrameTags, *, compression: Comp
     entries = [
         _long(254, 0), _long(256, width), _long(257, height), _short(258, bits), _short(259, scheme),
         _short(262, 32803), _ascii(271, tags.make), _ascii(272, tags.model), _short(274, 1), _short(277, 1),
-        _short(284, 1), _ascii(305, "depth-workbench simulated rig"), *layout,
+        _short(284, 1), _ascii(305, tags.software), *layout,
         _short(33421, 2, 2), _Entry(33422, _BYTE, 4, bytes([0, 1, 1, 2])),
         _Entry(50706, _BYTE, 4, bytes([1, 4, 0, 0])), _Entry(50707, _BYTE, 4, bytes([1, 1, 0, 0])),
         _ascii(50708, tags.model), _Entry(50710, _BYTE, 3, bytes([0, 1, 2])), _short(50711, 1),

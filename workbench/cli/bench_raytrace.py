@@ -12,17 +12,11 @@ from workbench.errors import InputError
 from workbench.files import staged_files
 
 
-class RaysParam(click.ParamType[int]):
-    """A power of two."""
-
-    name = "rays"
-
-    def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> int:
-        """Parse one command line value."""
-        text = str(value)
-        if not text.isdigit() or int(text).bit_count() != 1 or not 1 <= int(text) <= 1 << 16:
-            self.fail(f"{text!r}: give a power of two up to 65536, e.g. 256", param, ctx)
-        return int(text)
+def power_of_two(_ctx: click.Context, _param: click.Parameter, number: int) -> int:
+    """Check one command line value."""
+    if number.bit_count() != 1:
+        raise click.BadParameter(f"{number}: give a power of two, e.g. 256")
+    return number
 
 
 @bench.command("raytrace")
@@ -30,7 +24,14 @@ class RaysParam(click.ParamType[int]):
 @click.option("--scenes", type=click.IntRange(0, 1000), default=10, show_default=True, help="Still lifes.")
 @click.option("--planes", type=click.IntRange(0, 1000), default=0, show_default=True, help="Single planes.")
 @click.option("--seed", type=click.IntRange(0), default=1, show_default=True, help="Photograph k is of seed + k.")
-@click.option("--rays", type=RaysParam(), default=256, show_default=True, help="Per photosite, a power of two.")
+@click.option(
+    "--rays",
+    type=click.IntRange(1, 1 << 16),
+    callback=power_of_two,
+    default=256,
+    show_default=True,
+    help="Per photosite, a power of two.",
+)
 @command_options
 def raytrace(context: Context, out: Path, scenes: int, planes: int, seed: int, rays: int) -> None:
     """Trace RAW files of known depths into OUT: points for a bank, planes, still lifes.

@@ -176,7 +176,7 @@ def observe(
         photosites = view_photosites(with_photosites, mask, view, model, options)
     varied, parts = 0.0, list[Part]()
     if not as_one:
-        varied = mixture_gain(pooled, expected, float(fit.log_likelihood.max()), model, options)
+        varied = mixture_gain(pooled, expected, fit, model, options)
         if size // 2 >= options.smallest_window_px:
             finer = place_windows(mask, soft, size // 2, least_weight=options.least_weight)
             parts = fit_parts(plane, finer, mask, model, options)

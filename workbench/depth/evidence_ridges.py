@@ -95,13 +95,13 @@ def _fan(size: int) -> _Fan:
     between = (modulus > _LOWEST) & (modulus < _HIGHEST) & ~((fx == 0) & (fy < 0))
     y, x = (np.broadcast_to(f, modulus.shape)[between] for f in (fy, fx))
     direction = (np.arange(size) + 0.5) / size * np.pi - np.pi / 2
-    away = np.abs(np.outer(np.sin(direction), x) - np.outer(np.cos(direction), y))
-    on = (away * size < _HALF_WIDTH).astype(np.float64)
-    count = on.sum(axis=1)
+    lines = [np.flatnonzero(np.abs(np.sin(turn) * x - np.cos(turn) * y) * size < _HALF_WIDTH) for turn in direction]
+    count = np.array([line.size for line in lines], np.float64)
+    ends = np.concatenate([[0], np.cumsum(count)]).astype(np.intp)
+    mean = sparse.csr_matrix((np.repeat(1.0 / count, count.astype(np.intp)), np.concatenate(lines), ends),
+                             shape=(size, x.size))  # fmt: skip
     ring = np.rint(modulus[between] * size).astype(np.intp)
-    return _Fan(
-        np.flatnonzero(between), ring - ring.min(), sparse.csr_matrix(on / count[:, np.newaxis]), count, direction
-    )
+    return _Fan(np.flatnonzero(between), ring - ring.min(), mean, count, direction)
 
 
 def _ring_medians(level: FloatArray, ring: NDArray[np.intp]) -> FloatArray:

@@ -202,6 +202,7 @@ def fit_spectra(
     correlation: float = 0.3,
     factor: TextureFactor | None = None,
     start: TextureSpectrum | None = None,
+    ridges: tuple[float, ...] | None = None,
     steps: int = 2,
     band: Band = SUPERPIXELS,
 ) -> SpectralFit:
@@ -222,6 +223,8 @@ def fit_spectra(
         The texture's factor per frequency.
     start
         Texture and noise to start from, whose ridges are kept; without it they are sought for the first blur.
+    ridges
+        Directions (rad) of the texture's ridges, where they are known: fits that are compared must have the same.
     steps
         Fisher scoring steps for each blur.
     band
@@ -259,6 +262,8 @@ def fit_spectra(
 
     if start is not None:
         return scan(start.ridges)
+    if ridges is not None:
+        return scan(ridges)
     axis, coherence = _axis(power[used], f, turn)
     fit = scan((axis, axis + np.pi / 2) if coherence >= band.ridges_from else ())
     return _with_more_ridges(fit, power, expected, scan) if band.more_ridges else fit

@@ -42,7 +42,7 @@ _HELD = 1.92
 
 
 def mixture_gain(
-    pooled: Pooled, expected: NDArray[np.float32], best: float, model: DepthModel, options: EvidenceOptions
+    pooled: Pooled, expected: NDArray[np.float32], single: SpectralFit, model: DepthModel, options: EvidenceOptions
 ) -> float:
     """Log-likelihood that a mixture of neighbouring blurs gains over the best single one.
 
@@ -50,16 +50,16 @@ def mixture_gain(
     ----------
     pooled, expected
         The region's periodogram, and what each blur makes one expect (float32 (D, N, N // 2 + 1)).
-    best
-        Log-likelihood of the best single blur.
+    single
+        The fit of single blurs; mixtures are given the same ridges of the texture.
     model, options
         Radii of the blurs; how far they mix.
     """
     mixtures = mixed_power(expected, model.row_radius_px, options.varied_px)
     if not len(mixtures):  # the bank holds no such range of radii
         return 0.0
-    fit = fit_spectra(pooled.power, pooled.trusted, mixtures, factor=options.factor)
-    return float(fit.log_likelihood.max()) - best
+    fit = fit_spectra(pooled.power, pooled.trusted, mixtures, factor=options.factor, ridges=single.ridges)
+    return float(fit.log_likelihood.max() - single.log_likelihood.max())
 
 
 @dataclass(frozen=True, slots=True)

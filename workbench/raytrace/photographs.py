@@ -116,5 +116,6 @@ def _write(path: Path, light: NDArray[np.floating], camera: Camera, seed: int, g
     tags = FrameTags(
         exposure_s=0.01, iso=100, focal_length_mm=camera.focal_mm, f_number=3.6, pitch_mm=camera.pitch_mm,
         make="traced", model="Traced thin lens", serial="0", black=camera.black, white=camera.white,
+        software="depth-workbench ray tracer",
     )  # fmt: skip
     write_dng(path, mosaic, tags)

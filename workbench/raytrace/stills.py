@@ -100,13 +100,13 @@ def _ground(camera: Camera, ground_mm: float, wall_mm: float, generator: Generat
     near = 600.0
     wide = 1.2 * camera.width_at_mm(wall_mm)
     texel = 1.5 * camera.photosite_at_mm(1400.0)
-    shape = (min(int((wall_mm - near) / texel), 2 * _LARGEST_TEXTURE), min(int(wide / texel), _LARGEST_TEXTURE))
+    shape = (2 * _LARGEST_TEXTURE, min(int(wide / texel), _LARGEST_TEXTURE))  # fine enough where it is near
     picture = _opaque(draw(str(generator.choice(_GROUNDS)), *shape, generator), generator)
     return Surface("ground", picture, (-wide / 2, ground_mm, wall_mm), (wide, 0.0, 0.0), (0.0, 0.0, near - wall_mm))
 
 
 def _picture(camera: Camera, kind: str, size_mm: tuple[float, float], depth_mm: float, generator: Generator) -> Picture:
-    """Texels of 0.8 to 2 photosites."""
+    """Texels of 0.8 to 2 photosites, larger ones where the picture would hold too many."""
     texel = camera.photosite_at_mm(depth_mm) * float(generator.uniform(0.8, 2.0))
     wide, tall = (min(max(int(length / texel), 64), _LARGEST_TEXTURE) for length in size_mm)
     return _opaque(draw(kind, tall, wide, generator), generator)

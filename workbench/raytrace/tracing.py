@@ -81,7 +81,7 @@ def trace(camera: Camera, surfaces: Sequence[Surface], *, rays: int, seed: int) 
 def trace_point(camera: Camera, depth_mm: float, *, rays: int, seed: int) -> NDArray[np.float64]:
     """Light of a point at this depth, seen in the middle of the frame, per photosite; it sums to 1."""
     samples, triangles = qmc.Sobol(4, rng=np.random.default_rng([seed, 0x7B])).random(rays), _triangles(camera)
-    spread = np.interp(samples[:, 2:], np.linspace(0, 1, _QUANTILES), _spot_quantiles(camera) - 0.5)
+    spread = norm.ppf(np.clip(samples[:, 2:], 1e-9, 1 - 1e-9)) * (camera.spot_mm / camera.pitch_mm)
     # A ray from the point through A of the aperture meets the plane in focus at A (1 - focus / depth).
     across = _openings(np.ascontiguousarray(samples[:, :2]), triangles) * (1.0 - camera.focus_mm / depth_mm)
     site = across * camera.image_mm / camera.focus_mm / camera.pitch_mm + spread

@@ -89,3 +89,14 @@ def test_the_aperture_s_own_edges_are_no_ridges_of_the_texture(bank: Bank) -> No
     assert seen.view.fit.ridges == ()
     level = np.log(seen.view.pooled.power)
     assert ridge_directions(level, (), VISIBLE) != ()  # though they are seen
+
+
+@pytest.mark.parametrize("seed", [31, 45])
+def test_flat_letters_are_no_mixture_of_blurs(bank: Bank, seed: int) -> None:
+    """Mixtures have the ridges of the single blurs that they are compared with."""
+    image = photograph(sign(300, seed), 1600.0, seed=seed)
+    model = prepare(bank, EvidenceOptions())
+    seen = observe(image.luminance, np.ones(image.shape, np.bool_), model, EvidenceOptions())
+    assert seen is not None
+    assert seen.view.fit.ridges != ()
+    assert seen.varied < EvidenceOptions().varied_log_likelihood

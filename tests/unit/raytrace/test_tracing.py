@@ -32,16 +32,27 @@ def test_a_points_spot_has_the_aperture_s_extent(depth_mm: float) -> None:
     scale = SQUARE.image_mm * abs(1 / depth_mm - 1 / SQUARE.focus_mm) / SQUARE.pitch_mm
     for at, side_mm in ((x, 8.0), (y, 6.0)):
         variance = (light * at**2).sum()
-        assert variance == pytest.approx((side_mm * scale) ** 2 / 12 + 1 / 12 + 1 / 12, rel=0.01)
+        assert variance == pytest.approx((side_mm * scale) ** 2 / 12 + 1 / 12, rel=0.01)
 
 
 def test_a_point_in_focus_stays_within_its_spot() -> None:
     light = trace_point(CAMERA, CAMERA.focus_mm, rays=1 << 14, seed=1)
     y, x = _centred(light)
-    # Box of the photosite, box of its neighbours' grid, and the camera's own spot.
-    expected = (CAMERA.spot_mm / CAMERA.pitch_mm) ** 2 + 2 / 12
+    expected = (CAMERA.spot_mm / CAMERA.pitch_mm) ** 2 + 1 / 12  # the spot, and the photosite's own width
     assert (light * x**2).sum() == pytest.approx(expected, rel=0.02)
     assert (light * y**2).sum() == pytest.approx(expected, rel=0.02)
+
+
+@pytest.mark.parametrize("depth_mm", [1600.0, 1700.0])
+def test_a_tiny_surface_is_photographed_as_a_point_is(depth_mm: float) -> None:
+    side = 3.0 * CAMERA.photosite_at_mm(depth_mm)
+    dot = upright("dot", _flat(255), (0, 0, depth_mm), (side, side))
+    light = trace(CAMERA, [dot], rays=1 << 12, seed=3).light.astype(float)
+    light /= light.sum()
+    point = trace_point(CAMERA, depth_mm, rays=1 << 16, seed=1)
+    for at in _centred(light):
+        spread = [(image * at**2).sum() - (image * at).sum() ** 2 for image in (light, point)]
+        assert spread[0] - 3.0**2 / 12 == pytest.approx(spread[1], rel=0.05)
 
 
 def test_far_points_make_an_upright_seven_and_near_ones_a_turned_one() -> None:
