@@ -7,11 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
 from calibration.raw import develop
 from workbench.bench.truth import read_truth
-from workbench.cli import workbench
 from workbench.raytrace.drawings import DRAWINGS, draw
 from workbench.raytrace.photographs import write_photographs
 from workbench.raytrace.stills import PLANES, THINGS, still_life
@@ -79,15 +77,3 @@ def test_still_lifes_hold_three_to_five_things_before_a_wall() -> None:
         kinds |= {item.name.split()[0] for item in things}
     assert kinds <= set(THINGS)
     assert len(kinds) > 6
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [(["--scenes", "0"], "nothing to trace"), (["--rays", "100"], "power of two"), (["--scenes", "1"], "is not empty")],
-)
-def test_what_makes_no_sense_is_refused(tmp_path: Path, arguments: list[str], message: str) -> None:
-    (tmp_path / "mine").write_text("kept")
-    result = CliRunner().invoke(workbench, ["bench", "raytrace", str(tmp_path), *arguments])
-    assert result.exit_code != 0
-    assert message in result.output + str(result.exception)
-    assert [path.name for path in tmp_path.iterdir()] == ["mine"]
