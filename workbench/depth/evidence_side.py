@@ -121,8 +121,7 @@ class _Moments:
 
 
 def compare(
-    plane: Plane,
-    soft: Plane,
+    patches: Patches,
     windows: Sequence[Window],
     psfs: Sequence[Plane],
     texture: TextureSpectrum,
@@ -133,10 +132,8 @@ def compare(
 
     Parameters
     ----------
-    plane
-        float32 (H, W).
-    soft
-        float32 (H, W): the region, 1 inside, falling to 0 at its edge.
+    patches
+        The windows and what is about them, cut out of the region's plane.
     windows
         Where to look; moments are pooled over them, weighted by their squared tapers.
     psfs
@@ -146,7 +143,7 @@ def compare(
     is_light
         Whether the plane is never negative but for noise; a difference of colours may be.
     """
-    moments = _moments(cut_patches(plane, soft, windows), psfs, texture, is_light)
+    moments = _moments(patches, psfs, texture, is_light)
     moment, square = (m.sum(_ALL_TILES) / moments.weight.sum() for m in (moments.sparse, moments.square))
     halves = np.array([[_favour(moments.within(half), windows) for half in pair] for pair in _halves(windows)])
     sparse = _log_ratio(moment, square, _SPARSE).mean(axis=-1)

@@ -13,7 +13,7 @@ fitted once more with a ridge of ``S`` along each of them (:mod:`~workbench.dept
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -239,7 +239,7 @@ def fit_spectra(
     tenth = max(float(np.percentile(power[used], 10)), 1e-16)
     noise = float(np.log(tenth / (0.3 if averages < _FEW_AVERAGES else 1.0)))
 
-    def scan(ridges: tuple[float, ...]) -> SpectralFit:
+    def scan(ridges: tuple[float, ...]) -> tuple[SpectralFit, FloatArray]:
         terms = basis(f, turn, ridges, band)
         precision, pull = _prior(terms.shape[1], band.log_knots, len(ridges))
         arguments = (np.ascontiguousarray(terms.T, np.float32), precision, pull)
@@ -258,35 +258,32 @@ def fit_spectra(
             log_power, log_expected, *arguments, *begin, noise, steps, correlation, *tables
         )
         null = noise_alone(log_power, tables[0], correlation)
-        return SpectralFit(likelihood, null, coefficients, log_noise, ridges, band)
+        fit = SpectralFit(likelihood, null, coefficients, log_noise, ridges, band)
+        return fit, terms @ coefficients[int(likelihood.argmax())]
 
     if start is not None:
-        return scan(start.ridges)
+        return scan(start.ridges)[0]
     if ridges is not None:
-        return scan(ridges)
+        return scan(ridges)[0]
     axis, coherence = _axis(power[used], f, turn)
-    fit = scan((axis, axis + np.pi / 2) if coherence >= band.ridges_from else ())
-    return _with_more_ridges(fit, power, expected, scan) if band.more_ridges else fit
-
-
-def _with_more_ridges(
-    fit: SpectralFit, power: FloatArray, expected: Float32, scan: Callable[[tuple[float, ...]], SpectralFit]
-) -> SpectralFit:
-    """Fit again with ridges along lines that the best blur leaves unexplained, and then along all that are seen.
-
-    Lines that a right blur explains are the aperture's own edges, and no ridges of the texture.
-    """
-    modulus, direction, used = frequencies(power.shape[0], fit.band)
-    level = np.log(np.maximum(power, 1e-16))
-    for _ in range(_RIDGE_ROUNDS):
+    fit, texture = scan((axis, axis + np.pi / 2) if coherence >= band.ridges_from else ())
+    for _ in range(_RIDGE_ROUNDS if band.more_ridges else 0):
         row = int(fit.log_likelihood.argmax())
-        texture = fit.texture(row)
-        blurred = texture.log_power(modulus[used], direction[used]) + np.log(np.maximum(expected[row][used], 1e-9))
-        left = np.zeros(power.shape)
-        left[used] = level[used] - np.logaddexp(blurred, texture.log_noise)
-        more = ridge_directions(left, fit.ridges, UNEXPLAINED)
+        level, left = np.zeros((2, *power.shape))
+        level[used] = log_power
+        left[used] = log_power - np.logaddexp(texture + log_expected[row], fit.log_noise[row])
+        more = _more_ridges(level, left, fit.ridges)
         if not more:
             break
-        ridges = (*fit.ridges, *more)
-        fit = scan((*ridges, *ridge_directions(level, ridges, VISIBLE)))
+        fit, texture = scan((*fit.ridges, *more))
     return fit
+
+
+def _more_ridges(level: FloatArray, left: FloatArray, known: tuple[float, ...]) -> tuple[float, ...]:
+    """Ridges along lines that the best blur leaves unexplained, if there are any, and then along all that are seen.
+
+    ``level`` log power, ``left`` what is left of it, float64 (N, N // 2 + 1). Lines that a right blur explains are the
+    aperture's own edges, and no ridges of the texture.
+    """
+    more = ridge_directions(left, known, UNEXPLAINED)
+    return (*more, *ridge_directions(level, (*known, *more), VISIBLE)) if more else ()

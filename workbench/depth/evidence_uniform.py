@@ -17,6 +17,7 @@ from workbench.depth.evidence_expected import mixed_power, smeared_power
 from workbench.depth.evidence_model import DepthModel, EvidenceOptions, Learned
 from workbench.depth.evidence_periodogram import Pooled, pooled_periodogram
 from workbench.depth.evidence_posterior import open_sides, peak_of, side_odds
+from workbench.depth.evidence_restoration import cut_patches
 from workbench.depth.evidence_spectrum import SpectralFit, fit_spectra
 from workbench.depth.evidence_view import View, compare_windows
 from workbench.depth.evidence_windows import Window, thinned
@@ -149,7 +150,9 @@ def _read(part: Part, view: View, model: DepthModel, learned: Learned, options: 
     centre = float(radius[best]) if np.isnan(centre) else centre
     # another depth's edges next to a part would need negative light on either side: not asked for
     seen = replace(view, is_light=False)
-    clue = compare_windows(seen, thinned(part.windows, _SIDE_WINDOWS), centre, part.fit.texture(best), model)
+    windows = thinned(part.windows, _SIDE_WINDOWS)
+    patches = cut_patches(seen.plane, seen.soft, windows)
+    clue = compare_windows(seen, windows, patches, centre, part.fit.texture(best), model)
     odds = float(side_odds([clue], learned)[0])
     sides = open_sides(centre, odds, model.sides_in_reach[_ROWS][best], model, options)
     held = radius[likelihood > likelihood[best] - _HELD]

@@ -22,6 +22,7 @@ from workbench.depth.evidence_expected import smeared_power
 from workbench.depth.evidence_model import NATIVE_FINER, DepthModel, EvidenceOptions
 from workbench.depth.evidence_periodogram import Pooled, pooled_periodogram
 from workbench.depth.evidence_posterior import Refined
+from workbench.depth.evidence_restoration import Patches, cut_patches
 from workbench.depth.evidence_side import Comparison, compare
 from workbench.depth.evidence_spectrum import PHOTOSITES, SpectralFit, TextureSpectrum, fit_spectra
 from workbench.depth.evidence_windows import Window, clear_share, finer_windows, thinned
@@ -190,34 +191,49 @@ def compare_sides(
     one side is favoured, from photosites next to focus. A single row has none to be compared with.
     """
     views = {row: view_of(superpixels, photosites, row) for row in rows}
-    near = {row: _compare(view, row, model, options) for row, view in views.items() if view is not superpixels}
+    near = {}
+    if photosites is not None:
+        near = _compare(photosites, [row for row, view in views.items() if view is photosites], model, options)
     if len(rows) == len(near) == 1:
         return list(near.values())
-    clues = {row: _compare(superpixels, row, model, options) for row in rows}
+    clues = _compare(superpixels, rows, model, options)
     return [replace(near.get(row, clue), sparse=clue.sparse, negative=clue.negative) for row, clue in clues.items()]
 
 
-def _compare(view: View, row: int, model: DepthModel, options: EvidenceOptions) -> Comparison:
+def _compare(view: View, rows: Sequence[int], model: DepthModel, options: EvidenceOptions) -> dict[int, Comparison]:
+    if not rows:
+        return {}
     good = [w for w in view.windows if w.weight >= 0.6 * view.windows[0].weight]
     most = options.side_windows
     if view.finer > 1 and len(good) > most:
         most = min(most, _NATIVE_SIDE_WINDOWS)
-    return compare_windows(
-        view, thinned(good, most), abs(float(model.row_radius_px[row])), view.fit.texture(row), model
-    )
+    windows = thinned(good, most)
+    patches = cut_patches(view.plane, view.soft, windows)
+    return {
+        row: compare_windows(view, windows, patches, abs(float(model.row_radius_px[row])), view.fit.texture(row), model)
+        for row in rows
+    }
 
 
 def compare_windows(
-    view: View, windows: Sequence[Window], radius_px: float, texture: TextureSpectrum, model: DepthModel
+    view: View,
+    windows: Sequence[Window],
+    patches: Patches,
+    radius_px: float,
+    texture: TextureSpectrum,
+    model: DepthModel,
 ) -> Comparison:
-    """How sparse the far and the near side's restorations of some windows are, for one |radius| (superpixels)."""
+    """How sparse the far and the near side's restorations of some windows are, for one |radius| (superpixels).
+
+    ``patches`` are the windows cut out of the view.
+    """
     psfs: list[NDArray[np.float32]] = []
     for sign in (1.0, -1.0):
         if sign * radius_px < model.farthest_px:
             psfs.append(model.psf_at(sign * radius_px, view.finer))
         else:
             psfs.append((psfs[0] if psfs else model.psf_at(-radius_px, view.finer))[::-1, ::-1])
-    clue = compare(view.plane, view.soft, windows, psfs, texture, is_light=view.is_light)
+    clue = compare(patches, windows, psfs, texture, is_light=view.is_light)
     # next to focus the lens's own spot hides the aperture's shape, and with it the side
     shown = -np.expm1(-((radius_px / _SHAPELESS_PX[view.finer]) ** 2))
     # near the edge a restoration lacks what the blur carried out of the region

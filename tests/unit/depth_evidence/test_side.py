@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from tests.unit.depth_evidence.synthetic import draw_psf, leaves, photograph, radius_px
 from workbench.depth import evidence_side
+from workbench.depth.evidence_restoration import cut_patches
 from workbench.depth.evidence_side import FAMILIES, STATISTICS, Comparison, compare, favour_by_window
 from workbench.depth.evidence_spectrum import TextureSpectrum, basis
 from workbench.depth.evidence_windows import place_windows, soft_mask
@@ -37,7 +38,7 @@ def compared(texture: NDArray[np.float64], depth_mm: float) -> Comparison:
     mask = np.ones(plane.shape, np.bool_)
     soft, _ = soft_mask(mask, margin_px=6.0, ramp_px=12.0)
     windows = place_windows(mask, soft, 128, least_weight=0.3)
-    return compare(plane, soft, windows, psfs(), texture_spectrum())
+    return compare(cut_patches(plane, soft, windows), windows, psfs(), texture_spectrum())
 
 
 @pytest.mark.parametrize("seed", [31, 32, 33])
@@ -79,8 +80,8 @@ def test_more_of_the_same_texture_says_more_though_the_difference_stays() -> Non
     plane = photograph(leaves(384, 35), FAR, noise=0.02).luminance
     soft = np.ones(plane.shape, np.float32)
     windows = place_windows(soft > 0, soft, 128, least_weight=0.3)
-    few = [compare(plane, soft, [window], psfs(), texture_spectrum()) for window in windows[::4]]
-    all_of_them = compare(plane, soft, windows, psfs(), texture_spectrum())
+    few = [compare(cut_patches(plane, soft, [window]), [window], psfs(), texture_spectrum()) for window in windows[::4]]
+    all_of_them = compare(cut_patches(plane, soft, windows), windows, psfs(), texture_spectrum())
     differences = np.array([c.sparse[1] - c.sparse[0] for c in few]).mean(axis=0)
     np.testing.assert_allclose(all_of_them.sparse[1] - all_of_them.sparse[0], differences, rtol=0.5, atol=0.01)
     errors = [c.favour / np.sqrt(1.0 - (c.favour / 4.0) ** 2) for c in (all_of_them, *few)]
@@ -96,5 +97,5 @@ def test_window_by_window_is_the_same_as_one_window_alone() -> None:
     each = favour_by_window(plane, soft, windows, psfs(), texture)
     assert each.shape == (len(windows), len(STATISTICS))
     for window, own in zip(windows, each, strict=True):
-        alone = compare(plane, soft, [window], psfs(), texture, is_light=False)
+        alone = compare(cut_patches(plane, soft, [window]), [window], psfs(), texture, is_light=False)
         np.testing.assert_allclose(own, alone.favour, rtol=1e-5)
