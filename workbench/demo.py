@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 
 import cv2
 import numpy as np
@@ -11,8 +10,6 @@ from numpy.typing import NDArray
 
 from rigs.simulated.scene import SceneTruth
 from workbench.depth.regions import inner
-from workbench.display import png_bytes
-from workbench.files import write_bytes
 from workbench.measurement import Measurement
 
 INNER_SHARE = 0.5
@@ -59,9 +56,3 @@ def object_core(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
         return mask
     distance = cv2.distanceTransform(np.pad(mask, 1).astype(np.uint8), cv2.DIST_L2, 5)[1:-1, 1:-1]
     return inner(mask, float(np.quantile(distance[mask], 1.0 - INNER_SHARE)), frame_is_edge=True)
-
-
-def write_truth(truth: SceneTruth, directory: Path, stem: str) -> None:
-    """Keep the scene's truth beside the photograph: depth in mm and object ids, as 16-bit and 8-bit PNG."""
-    for name, image in (("depth_mm", np.rint(truth.depth_mm).astype(np.uint16)), ("id", truth.object_id)):
-        write_bytes(directory / f"{stem}_{name}.png", png_bytes(image))

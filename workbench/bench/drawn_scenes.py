@@ -4,14 +4,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import cv2
-import numpy as np
-
 from rigs.simulated.rig import render_scene_frame
 from rigs.simulated.scenes import drawn_objects
 from rigs.simulated.world import SimulatedRigSettings
 from workbench.files import write_json
 from workbench.progress import Observer, Step
+from workbench.truth_files import write_scene_truth
 
 
 def write_drawn_scenes(
@@ -43,13 +41,7 @@ def write_drawn_scenes(
         name = f"scene-{seed + index}"
         frame = render_scene_frame(drawn_objects(seed + index), settings, shot=index, frame_shape=frame_shape)
         frame.write(directory / f"{name}.dng")
-        cv2.imwrite(str(directory / f"{name}_depth_mm.png"), np.rint(frame.truth.depth_mm).astype(np.uint16))
-        cv2.imwrite(str(directory / f"{name}_id.png"), frame.truth.object_id)
-        files[f"{name}.dng"] = {
-            "kind": "scene",
-            "depth": f"{name}_depth_mm.png",
-            "ids": f"{name}_id.png",
-            "objects": {item: {"id": number} for number, item in enumerate(frame.truth.names, start=1)},
-        }
+        truth = frame.truth
+        files[f"{name}.dng"] = write_scene_truth(directory, name, truth.depth_mm, truth.object_id, truth.names)
         observer(Step(f"drawing {name}", index + 1, count))
     write_json(directory / "truth.json", {"files": files})

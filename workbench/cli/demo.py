@@ -11,7 +11,7 @@ from workbench.banks import open_bank
 from workbench.cli.common import Context, command_options
 from workbench.cli.measure import measure_photograph
 from workbench.cli.rig import run_session
-from workbench.demo import compare, write_truth
+from workbench.demo import compare
 from workbench.devices import open_scene_camera, simulated_scene_truth
 from workbench.errors import InputError
 from workbench.frame_reader import FrameReader
@@ -19,6 +19,7 @@ from workbench.measure import MeasureOptions
 from workbench.photograph import next_photograph, photograph
 from workbench.planning import make_plan
 from workbench.project import Project, create_project, open_project
+from workbench.truth_files import write_truth_images
 from workbench.units import cm
 
 
@@ -50,7 +51,7 @@ def _measure_scene(context: Context, project: Project) -> None:
     camera.close()
     measurement = measure_photograph(context, project, bank, "active", MeasureOptions(), taken.path, None)
     truth = simulated_scene_truth(config)
-    write_truth(truth, project.photographs, destination.stem)
+    write_truth_images(project.photographs, destination.stem, truth.depth_mm, truth.object_id)
     results = compare(measurement, truth)
     rows = []
     for result in results:

@@ -11,12 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rigs.simulated.dng import FrameTags, write_dng
-from workbench.display import png_bytes
-from workbench.files import write_bytes, write_json
+from workbench.files import write_json
 from workbench.progress import Observer, Step
 from workbench.raytrace.stills import PLANES, plane, still_life
 from workbench.raytrace.tracing import Traced, trace, trace_point
-from workbench.raytrace.world import Camera, Surface
+from workbench.raytrace.world import Camera
+from workbench.truth_files import write_scene_truth
 
 POINT_DEPTHS_MM = tuple(100.0 * k for k in range(6, 36))
 CAMERA = Camera(height=1536, width=2304)
@@ -85,20 +85,10 @@ def write_photographs(
         traced = trace(camera, surfaces, rays=rays, seed=number)
         name = f"scenes/still_{number}"
         _write(directory / f"{name}.dng", traced.light, camera, number, _exposure(traced))
-        finish(f"{name}.dng", _write_truth(directory, name, traced, surfaces))
+        names = [surface.name for surface in surfaces]
+        truth = write_scene_truth(directory, name, traced.depth_mm, traced.surface + 1, names)
+        finish(f"{name}.dng", truth)
     write_json(directory / "truth.json", {"files": files})
-
-
-def _write_truth(directory: Path, name: str, traced: Traced, surfaces: Sequence[Surface]) -> dict[str, Any]:
-    depth = np.where(np.isfinite(traced.depth_mm), np.rint(traced.depth_mm), 0).astype(np.uint16)
-    images: dict[str, NDArray[Any]] = {
-        f"{name}_depth_mm.png": depth,
-        f"{name}_id.png": (traced.surface + 1).astype(np.uint8),
-    }
-    for path, image in images.items():
-        write_bytes(directory / path, png_bytes(image))
-    objects = {surface.name: {"id": number} for number, surface in enumerate(surfaces, start=1)}
-    return {"kind": "scene", "depth": f"{name}_depth_mm.png", "ids": f"{name}_id.png", "objects": objects}
 
 
 def _exposure(traced: Traced) -> float:

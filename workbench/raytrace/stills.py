@@ -25,7 +25,7 @@ _LARGEST_TEXTURE = 3200
 def plane(camera: Camera, kind: str, depth_mm: float, seed: int) -> list[Surface]:
     """One picture that fills the frame."""
     generator = np.random.default_rng([seed, 0x91])
-    size = (1.3 * camera.width_at_mm(depth_mm), 1.3 * camera.width_at_mm(depth_mm) * camera.height / camera.width)
+    size = _frame_at(camera, depth_mm, 1.3)
     return [upright(kind, _picture(camera, kind, size, depth_mm, generator), (0.0, 0.0, depth_mm), size)]
 
 
@@ -69,9 +69,15 @@ def still_life(camera: Camera, seed: int) -> list[Surface]:
         surfaces.append(_thing(camera, f"{kind} {number}", kind, (x, y, depth), (wide, tall), generator))
     if has_ground:
         surfaces.append(_ground(camera, ground_mm, wall_mm, generator))
-    size = (1.4 * camera.width_at_mm(wall_mm), 1.4 * camera.width_at_mm(wall_mm) * camera.height / camera.width)
+    size = _frame_at(camera, wall_mm, 1.4)
     picture = _picture(camera, str(generator.choice(_WALLS)), size, wall_mm, generator)
     return [*surfaces, upright("wall", picture, (0.0, 0.0, wall_mm), size)]
+
+
+def _frame_at(camera: Camera, depth_mm: float, larger: float) -> tuple[float, float]:
+    """Width and height (mm) of so many times the field of view at a depth."""
+    wide = larger * camera.width_at_mm(depth_mm)
+    return wide, wide * camera.height / camera.width
 
 
 def _thing(
