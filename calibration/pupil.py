@@ -284,12 +284,15 @@ def pupil_of_bank(bank: Bank, field_index: int | None = None) -> PupilModel:
 def psf_model(bank: Bank, field_index: int | None = None) -> PsfModel:
     """The best model of a bank's PSFs: the pupil where it fits, else interpolation between the planes."""
     index = bank.central_index if field_index is None else field_index
-    blend = interpolator_of_bank(bank, index)
     try:
         pupil = pupil_of_bank(bank, index)
     except FitError:
-        return blend
-    return pupil if np.median(pupil.residual) <= max(GOOD_RESIDUAL, float(np.median(blend.residual))) else blend
+        return interpolator_of_bank(bank, index)
+    misfit = float(np.median(pupil.residual))
+    if misfit <= GOOD_RESIDUAL:
+        return pupil
+    blend = interpolator_of_bank(bank, index)
+    return pupil if misfit <= float(np.median(blend.residual)) else blend
 
 
 def interpolator_of_bank(bank: Bank, field_index: int) -> PsfInterpolator:

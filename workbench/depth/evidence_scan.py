@@ -52,9 +52,8 @@ def likelihood_tables(averages: float, factor: TextureFactor) -> tuple[Float32, 
 
     Returns
     -------
-    table, by_signal, by_noise
-        float32 (C, C), rows over log(I / n), columns over log(S k / n): log density of log I, and its slopes in
-        log(S k) and in log n.
+    table
+        float32 (C, C), rows over log(I / n), columns over log(S k / n): log density of log I.
     info_ss, info_sn, info_nn
         float32 (C,): Fisher information on the two, over log(S k / n).
     """
@@ -80,7 +79,7 @@ def _tables(averages: float, spread: float, wide_share: float, wide_spread: floa
     density /= density.sum(axis=0, keepdims=True)
     information = [(density * a * b).sum(axis=0) for a, b in
                    ((by_signal, by_signal), (by_signal, by_noise), (by_noise, by_noise))]  # fmt: skip
-    tables = (table, by_signal, by_noise, *information)
+    tables = (table, *information)
     # subnormal numbers would cost a hundred times as much as zero, and say no more
     return tuple(np.ascontiguousarray(np.where(np.abs(t) < 1e-20, 0.0, t), np.float32) for t in tables)
 
@@ -113,8 +112,6 @@ def scan_blurs(
     steps: int,
     correlation: float,
     table: Float32,
-    by_signal: Float32,
-    by_noise: Float32,
     info_ss: Float32,
     info_sn: Float32,
     info_nn: Float32,
@@ -139,7 +136,7 @@ def scan_blurs(
         Fisher scoring steps for each blur; more where they haven't settled.
     correlation
         The frequencies' log-likelihood is multiplied by this.
-    table, by_signal, by_noise, info_ss, info_sn, info_nn
+    table, info_ss, info_sn, info_nn
         :func:`likelihood_tables`.
 
     Returns
@@ -152,15 +149,15 @@ def scan_blurs(
     likelihood, coefficients, noises = np.zeros(blurs), np.zeros((blurs, p)), np.zeros(blurs)
     theta, log_noise = start.copy(), start_noise
     gradient, hessian, towards = np.zeros(p + 1), np.zeros((p + 1, p + 1)), np.zeros(p)
-    flat = table.ravel(), by_signal.ravel(), by_noise.ravel()
-    work = np.zeros((6, _AT_ONCE), np.float32)
+    flat = table.ravel()
+    work = np.zeros((5, _AT_ONCE), np.float32)
     kept, kept_noise = theta.copy(), log_noise
     for d in range(blurs):
         taken, wanted, halved, best = 0, steps, 0, -np.inf
         while True:
             total = correlation * _terms(
                 log_power, log_expected[d], columns, theta, log_noise, taken < wanted,
-                *flat, info_ss, info_sn, info_nn, gradient, hessian, work,
+                flat, info_ss, info_sn, info_nn, gradient, hessian, work,
             )  # fmt: skip
             for j in range(p):
                 left = pull[j]
@@ -184,9 +181,9 @@ def scan_blurs(
                 continue
             kept[:], kept_noise, best = theta, log_noise, total
             gradient *= correlation
-            hessian *= correlation
             gradient[:p] += towards
             gradient[p] -= 0.5 * (log_noise - prior_noise)
+            hessian *= correlation
             hessian[p, p] += 0.5
             for j in range(p):
                 for k in range(j + 1):
@@ -214,8 +211,6 @@ def _terms(
     log_noise: float,
     derivatives: bool,
     table: Float32,
-    by_signal: Float32,
-    by_noise: Float32,
     info_ss: Float32,
     info_sn: Float32,
     info_nn: Float32,
@@ -228,7 +223,7 @@ def _terms(
     # and in single precision: so they become vector instructions.
     p, count = columns.shape
     cells = np.int32(_CELLS)
-    nought, half, one, last = np.float32(0.0), np.float32(0.5), np.float32(1.0), np.float32(_CELLS - 1.001)
+    nought, half, last = np.float32(0.0), np.float32(0.5), np.float32(_CELLS - 1.001)
     finer, lowest = np.float32(1.0 / _STEP), np.float32(log_noise + _LOW)
     gradient[:] = 0.0
     hessian[:] = 0.0
@@ -236,37 +231,35 @@ def _terms(
     for first in range(0, count, _AT_ONCE):
         beyond = min(first + _AT_ONCE, count)
         many = beyond - first
-        x, y, slope, ss, sn, weighted = (
-            work[0, :many], work[1, :many], work[2, :many], work[3, :many], work[4, :many], work[5, :many]
-        )  # fmt: skip
+        x, slope, ss, sn, weighted = work[0, :many], work[1, :many], work[2, :many], work[3, :many], work[4, :many]
         x[:] = log_expected[first:beyond]
         for j in range(p):
             factor, column = np.float32(theta[j]), columns[j, first:beyond]
             for f in range(many):
                 x[f] += factor * column[f]
-        power = log_power[first:beyond]
+        power, by_noise = log_power[first:beyond], nought
         for f in range(many):
-            above, beside = (power[f] - lowest) * finer, (x[f] - lowest) * finer
+            height, place = (power[f] - lowest) * finer, (x[f] - lowest) * finer
             # by comparisons, which let NaN fall to 0: min and max would pass it on, as an index out of bounds
-            above, beside = above if above > nought else nought, beside if beside > nought else nought
-            y[f] = above if above < last else last
-            x[f] = beside if beside < last else last
-            y0, x0 = np.int32(y[f]), np.int32(x[f])
-            up, right = y[f] - np.float32(y0), x[f] - np.float32(x0)
-            cell, both = y0 * cells + x0, up * right
-            total += (
-                (one - up - right + both) * table[cell] + (right - both) * table[cell + 1]
-                + (up - both) * table[cell + cells] + both * table[cell + cells + 1]
-            )  # fmt: skip
+            height, place = height if height > nought else nought, place if place > nought else nought
+            height, place = height if height < last else last, place if place < last else last
+            x[f] = place
+            y0, x0 = np.int32(height), np.int32(place)
+            up, right = height - np.float32(y0), place - np.float32(x0)
+            cell = y0 * cells + x0
+            corner, beside, above, across = table[cell], table[cell + 1], table[cell + cells], table[cell + cells + 1]
+            lower, upper = corner + right * (beside - corner), above + right * (across - above)
+            total += lower + up * (upper - lower)
+            slope[f] = ((beside - corner) + up * (across - above - beside + corner)) * finer
+            by_noise -= (upper - lower) * finer + slope[f]
         if not derivatives:
             continue
-        noise_information = np.float32(0.0)
+        gradient[p] += by_noise
+        noise_information = nought
         for f in range(many):  # the nearest entry will do: only the way to the maximum depends on it
             x0 = np.int32(x[f] + half)
-            cell = np.int32(y[f] + half) * cells + x0
-            slope[f], ss[f], sn[f] = by_signal[cell], info_ss[x0], info_sn[x0]
+            ss[f], sn[f] = info_ss[x0], info_sn[x0]
             noise_information += info_nn[x0]
-            gradient[p] += by_noise[cell]
         hessian[p, p] += noise_information
         for j in range(p):
             column = columns[j, first:beyond]
