@@ -110,7 +110,10 @@ def segmentation(measurement: Measurement) -> Figure:
 
 
 def depth_map(measurement: Measurement) -> Figure:
-    """Show the depth map with a colour bar in cm; unknown depth is grey and hatched. Regions carry their depth."""
+    """Show the depth map with a colour bar in cm; unknown depth is grey and hatched.
+
+    Regions carry their depth, ambiguous ones with a question mark.
+    """
     height, width = measurement.depth_map_mm.shape
     factor = max(1.0, max(height, width) / FIGURE_SIDE_PX)
     shape = (max(1, round(height / factor)), max(1, round(width / factor)))
@@ -135,7 +138,8 @@ def depth_map(measurement: Measurement) -> Figure:
             mask = labels == number
             _outline(axes, mask, scale, colour="white", width=0.6)
             if math.isfinite(estimate.depth_mm):
-                _depth_label(axes, mask, estimate.depth_mm / 10, scale)
+                doubt = "?" if estimate.status == "ambiguous" else ""
+                _depth_label(axes, mask, f"{estimate.depth_mm / 10:.0f}{doubt}", scale)
         _image_labels(axes)
         for spine in axes.spines.values():
             spine.set_visible(True)
@@ -221,11 +225,11 @@ def _badge(axes: Axes, mask: NDArray[np.bool_], text: str, scale: float) -> None
     )  # fmt: skip
 
 
-def _depth_label(axes: Axes, mask: NDArray[np.bool_], depth_cm: float, scale: float) -> None:
+def _depth_label(axes: Axes, mask: NDArray[np.bool_], depth_cm: str, scale: float) -> None:
     if not mask.any():
         return
     x, y, radius = inner_point(mask)
     if radius < 0.018 * mask.shape[1]:  # no room: the number would hide more than it tells
         return
-    axes.text(x * scale, y * scale, f"{depth_cm:.0f}", ha="center", va="center", fontsize=SMALL, weight="bold",
+    axes.text(x * scale, y * scale, depth_cm, ha="center", va="center", fontsize=SMALL, weight="bold",
               color="white", path_effects=halo(1.8, INK))  # fmt: skip

@@ -128,6 +128,7 @@ def _confidence_note(measurement: Measurement) -> str:
 
 def _scene_figures(measurement: Measurement) -> list[Shown]:
     unknown = not np.isfinite(measurement.depth_map_mm).all()
+    ambiguous = any(e.status == "ambiguous" for e in measurement.estimates.values())
     found = [
         shown(
             "Photograph and all-focus image",
@@ -144,6 +145,7 @@ def _scene_figures(measurement: Measurement) -> list[Shown]:
         shown(
             "Depth map",
             "Depth in centimetres; near is light, far is dark."
+            + (" A question mark: ambiguous." if ambiguous else "")
             + (" Hatched grey is unknown." if unknown else ""),
             pictures.depth_map(measurement), "png", "narrow",
         ),

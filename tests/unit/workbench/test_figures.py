@@ -163,6 +163,13 @@ def test_a_posterior_is_told_from_a_score() -> None:
     assert not curves.is_posterior(no_texture())
 
 
+def test_ambiguous_depths_carry_a_question_mark_in_the_depth_map() -> None:
+    shown = words(pictures.depth_map(draw_measurement()))
+    assert "187?" in shown
+    assert "321" in shown
+    assert "321?" not in shown
+
+
 def test_the_depth_map_is_hatched_where_unknown_and_has_no_bar_without_any_depth() -> None:
     assert "depth (cm)" in words(pictures.depth_map(draw_measurement()))
     blank = draw_measurement({1: no_texture(), 2: no_texture(), 3: no_texture(), 4: no_texture()})
