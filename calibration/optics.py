@@ -44,11 +44,6 @@ def mirror_depth(depth_mm: float, *, focus_mm: float) -> float:
     return 1.0 / inverse if inverse > 0 else float("inf")
 
 
-def scale_from_aperture(*, aperture_radius_mm: float, focal_length_mm: float, focus_mm: float) -> float:
-    """Radius at infinity on the sensor (mm): A f / (focus - f)."""
-    return aperture_radius_mm * focal_length_mm / (focus_mm - focal_length_mm)
-
-
 def image_distance_mm(*, focal_length_mm: float, focus_mm: float) -> float:
     """Distance (mm) from lens to sensor when focused at ``focus_mm``: f focus / (focus - f)."""
     return focal_length_mm * focus_mm / (focus_mm - focal_length_mm)

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any, Protocol
+from typing import Any, Literal, Protocol
 
 import cv2
 import numpy as np
@@ -23,7 +23,16 @@ from calibration.errors import FitError
 from calibration.lens_fit import LensFit
 from calibration.template import HALF_EXTENT, Spot, fit_spots, render
 
-__all__ = ["PsfInterpolator", "PsfModel", "PupilModel", "fit_pupil", "psf_model", "pupil_of_bank"]
+__all__ = [
+    "BetweenPlanes",
+    "PsfInterpolator",
+    "PsfModel",
+    "PupilModel",
+    "between_planes",
+    "fit_pupil",
+    "psf_model",
+    "pupil_of_bank",
+]
 
 FloatArray = NDArray[np.float64]
 
@@ -293,6 +302,32 @@ def psf_model(bank: Bank, field_index: int | None = None) -> PsfModel:
         return pupil
     blend = interpolator_of_bank(bank, index)
     return pupil if misfit <= float(np.median(blend.residual)) else blend
+
+
+@dataclass(frozen=True, slots=True)
+class BetweenPlanes:
+    """Where PSFs between a bank's planes come from.
+
+    Attributes
+    ----------
+    source
+        ``pupil``, a picture of the aperture scaled in 1/z; ``interpolation`` of neighbours where that doesn't fit.
+    residual
+        Median over the planes of the root of residual power over PSF power, noise removed: of the pupil against the
+        measured PSFs, of interpolation against each plane left out.
+    """
+
+    source: Literal["pupil", "interpolation"]
+    residual: float
+
+
+def between_planes(bank: Bank) -> BetweenPlanes | None:
+    """What :func:`psf_model` uses for a bank's centre; None for one of fewer than three planes, which can't tell."""
+    if bank.depths_mm.size < 3:
+        return None
+    model = psf_model(bank)
+    source: Literal["pupil", "interpolation"] = "pupil" if isinstance(model, PupilModel) else "interpolation"
+    return BetweenPlanes(source, float(np.nanmedian(model.residual)))
 
 
 def interpolator_of_bank(bank: Bank, field_index: int) -> PsfInterpolator:

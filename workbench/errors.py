@@ -13,7 +13,3 @@ class InputError(WorkbenchError):
 
 class CheckFailedError(WorkbenchError):
     """Everything ran, and a check said no (exit code 3)."""
-
-
-class InterruptedSessionError(WorkbenchError):
-    """The operator interrupted; the session can be resumed (exit code 130)."""

@@ -49,6 +49,10 @@ MOST_REGIONS = 65535
 """What the 16-bit label image that a measurement writes can tell apart."""
 
 
+_MOST_AT_ONCE = 8
+"""Regions that are measured at once: each takes memory like a frame or two."""
+
+
 def read_labels(path: Path, shape: tuple[int, int]) -> NDArray[np.int32]:
     """Read a label image (PNG or TIFF, one integer per pixel, 0 = none).
 
@@ -145,7 +149,7 @@ def find_regions(image: LinearImage, bank: Bank, options: MeasureOptions) -> NDA
     if options.segment == "colour":
         return srm(image, SrmOptions(q=options.srm_q))
     fine = srm(image, SrmOptions(q=options.srm_q * SUPERPIXEL_Q, min_fraction=SUPERPIXEL_FRACTION))
-    return regions_of_one_depth(image, bank, fine)
+    return regions_of_one_depth(image, bank, fine, workers=usable_processors())
 
 
 def measure(path: Path, bank: Bank, bank_ref: str, options: MeasureOptions) -> Measurement:
@@ -161,7 +165,8 @@ def measure(path: Path, bank: Bank, bank_ref: str, options: MeasureOptions) -> M
     started = time.perf_counter()
     image = develop_photograph(path, bank)
     labels = find_regions(image, bank, options)
-    estimates = estimate_depths(image, bank, labels, options.method, dict(options.method_options))
+    workers = min(usable_processors(), _MOST_AT_ONCE)
+    estimates = estimate_depths(image, bank, labels, options.method, dict(options.method_options), workers=workers)
     return Measurement(
         image=image,
         image_name=str(path),

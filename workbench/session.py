@@ -270,9 +270,3 @@ class SessionRunner:
         new = done - self._done_at_start
         left = (time.monotonic() - self._started) / new * (total - done) if new > 0 else None
         self._observer(Step(message, done, total, left))
-
-
-def recorded_frames(directory: Path, state: SessionState) -> Iterator[tuple[dict[str, Any], Path]]:
-    """Records of a finished session's shots with the paths of their frames."""
-    for record in state.shots.values():
-        yield record, directory / record["file"]

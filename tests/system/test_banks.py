@@ -85,6 +85,16 @@ def test_long_lines_are_not_cut_where_no_terminal_is(project: Path) -> None:
     assert all(line == line.rstrip() for line in shown)
 
 
+def test_where_psfs_between_the_depths_come_from_is_shown(project: Path) -> None:
+    told = done("-C", project, "bank", "show", "--json").only["between_planes"]
+    assert told["source"] == "pupil"
+    shown = done("-C", project, "bank", "show").out.splitlines()
+    row = next(line for line in shown if line.startswith("PSFs between depths"))
+    assert row.endswith(f"model of the aperture, residual {told['residual']:.1%}")
+    report = next((project / "banks").glob("*/report.html")).read_text(encoding="utf-8")
+    assert "of a picture of the aperture, which gives the PSF at any depth" in report
+
+
 def test_an_exported_stack_comes_back_with_the_same_psfs(project: Path, tmp_path: Path) -> None:
     original = _central(project)
     exported = tmp_path / "bank.tif"

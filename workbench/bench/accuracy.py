@@ -3,18 +3,14 @@
 from __future__ import annotations
 
 import multiprocessing
-import os
 import tempfile
-import threading
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
-from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -27,12 +23,11 @@ from rigs.simulated.scenes import plane_scene
 from rigs.simulated.world import SimulatedRigSettings
 from workbench.bench.bound import depth_bound_mm, signal_and_noise, texture_spectrum
 from workbench.bench.cases import BLANK, Case, lay_out, photograph
+from workbench.bench.one_thread import one_thread_each, sendable, start_in_one_thread
 from workbench.bench.scoring import Outcome
 from workbench.depth.estimate import DepthEstimate
 from workbench.depth.methods import estimate_depths
 from workbench.progress import Observer, Step
-
-_THREAD_LIMITS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,7 +92,7 @@ def run_cases(
     views = _sendable(view), {name: _sendable(other) for name, other in (second or {}).items()}
     results: dict[int, list[Outcome]] = {}
     started = time.monotonic()
-    with _one_thread_each(), tempfile.TemporaryDirectory(prefix="workbench-bench-") as scratch:
+    with one_thread_each(), tempfile.TemporaryDirectory(prefix="workbench-bench-") as scratch:
         context = multiprocessing.get_context("spawn")  # forking a process that has threads may deadlock
         with ProcessPoolExecutor(jobs, context, _start_worker, (*views, run, Path(scratch))) as pool:
             futures = {pool.submit(_measure_case, index, case): index for index, case in enumerate(cases)}
@@ -114,24 +109,8 @@ def run_cases(
     return [outcome for index in sorted(results) for outcome in results[index]]
 
 
-@contextmanager
-def _one_thread_each() -> Iterator[None]:
-    """Limits that the worker processes inherit and read when they load their libraries."""
-    before = {name: os.environ.get(name) for name in _THREAD_LIMITS}
-    os.environ.update(dict.fromkeys(_THREAD_LIMITS, "1"))
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            if value is None:
-                del os.environ[name]
-            else:
-                os.environ[name] = value
-
-
 def _sendable(view: View) -> View:
-    """Without read-only mappings, which can't be sent to a process."""
-    return View(replace(view.bank, manifest=dict(view.bank.manifest), extras=dict(view.bank.extras)), view.rig)
+    return View(sendable(view.bank), view.rig)
 
 
 @dataclass(frozen=True, slots=True)
@@ -148,17 +127,8 @@ _worker: _Worker | None = None
 
 def _start_worker(view: View, second: Mapping[str, View], run: Run, scratch: Path) -> None:
     global _worker
-    threading.Thread(target=_end_with_parent, daemon=True).start()
-    cv2.setNumThreads(1)
+    start_in_one_thread()
     _worker = _Worker(view, psf_model(view.bank), second, run, scratch)
-
-
-def _end_with_parent() -> None:
-    """Leave when the parent was killed: the pool's workers would wait for it for ever."""
-    parent = multiprocessing.parent_process()
-    assert parent is not None
-    parent.join()
-    os._exit(1)
 
 
 def _measure_case(index: int, case: Case) -> list[Outcome]:

@@ -9,8 +9,12 @@ from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
+from types import ModuleType
 
 import calibration
+import rigs
+import rigs.simulated
+import workbench
 from calibration.bank import Bank
 from calibration.frames import find_frames
 from calibration.raw import develop
@@ -29,6 +33,7 @@ from workbench.project import Project, create_project
 from workbench.session import SessionRunner, create_session
 
 _PATIENCE_S = 300.0
+_TEMPLATE = Path(workbench.__path__[0]) / "templates" / "rig.yaml"
 SECOND_PUPILS = {
     "pair": PolygonPupil((((-5.0, 5.0), (-2.0, 5.0), (-2.0, -2.0), (5.0, -2.0), (5.0, -5.0), (-5.0, -5.0)),)),
     "pentland": PolygonPupil(tuple(tuple((0.6 * x, 0.6 * y) for x, y in loop) for loop in SEVEN.loops_mm)),
@@ -62,7 +67,7 @@ def simulated_bank(
 
     Plan, session, metering, RAW files and bank are those of ``workbench calibrate``. The frames are thrown away, the
     project with its bank and report stays in ``work``, under a name that follows from the settings and from the code
-    that makes banks.
+    of rig, session and bank: where any of it has changed, the bank is made anew.
 
     Parameters
     ----------
@@ -77,7 +82,8 @@ def simulated_bank(
     pupil
         Aperture of the rig's lens.
     """
-    project = _scratch(work / f"bank-{_key([seed, step_mm, pupil.loops_mm])}", seed)
+    made_by = [*_modules(calibration), *_modules(rigs), *_modules(rigs.simulated), *_modules(workbench), _TEMPLATE]
+    project = _scratch(work / f"bank-{_key([seed, step_mm, pupil.loops_mm], made_by)}", seed)
     config = project.config()
     with _alone(project):
         if not _has_bank(project):
@@ -108,17 +114,22 @@ def raws_bank(work: Path, directory: Path) -> Bank:
     """
     listed = find_frames(directory)
     paths = [*listed.darks, *(path for _, repeats in listed.points for path in repeats)]
-    project = _scratch(work / f"raws-{_key([sha256_file(path) for path in paths])}", 1)
+    made_by = [*_modules(calibration), Path(calibrate.__file__)]
+    project = _scratch(work / f"raws-{_key([sha256_file(path) for path in paths], made_by)}", 1)
     with _alone(project):
         if not _has_bank(project):
             calibrate.calibrate_frames(project, directory, project.config(), apply_zero=False)
     return open_bank(project, "active")[0]
 
 
-def _key(settings: Sequence[object]) -> str:
+def _key(settings: Sequence[object], code: Sequence[Path]) -> str:
     """Twelve digits for settings and the code that makes banks of them."""
-    code = [sha256_file(path) for path in sorted(Path(calibration.__path__[0]).glob("*.py"))]
-    return sha256_json([list(settings), code, sha256_file(Path(calibrate.__file__))])[:12]
+    return sha256_json([list(settings), [sha256_file(path) for path in code]])[:12]
+
+
+def _modules(package: ModuleType) -> list[Path]:
+    """A package's modules, without those of packages in it."""
+    return sorted(Path(package.__path__[0]).glob("*.py"))
 
 
 def _scratch(root: Path, seed: int) -> Project:

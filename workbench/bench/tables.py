@@ -194,20 +194,22 @@ SPEED_COLUMNS = ("20 iterations of Richardson-Lucy", "median", "fastest", "x tra
 
 
 def speed_tables(
-    kernels: Sequence[SpeedRow], methods: Sequence[MethodRow], memory: Sequence[MemoryRow], frame: str
+    kernels: Sequence[SpeedRow], methods: Sequence[MethodRow], memory: Sequence[MemoryRow], frame: str, processors: int
 ) -> list[TableOf]:
     """Tables of ``bench speed``; those without rows are left out."""
+    whole = f"Whole methods: {frame}, one thread"
+    alone = f"Measuring in a process of its own: {frame}, {processors} processor{'s' if processors > 1 else ''}"
     tables = [
         TableOf("Deconvolution", SPEED_COLUMNS, tuple(
             (r.name, _seconds(r.median_s), _seconds(r.fastest_s), f"{r.times_floor:.2f}", _factor(r.speed_up),
              f"{r.largest_difference:.1e}" if math.isfinite(r.largest_difference) else "-")
             for r in kernels
         )),
-        TableOf(f"Whole methods: {frame}", ("method", "time", "faster than sharpness", "depths timed"), tuple(
+        TableOf(whole, ("method", "time", "faster than sharpness", "depths timed"), tuple(
             (r.name, _seconds(r.seconds), _factor(r.speed_up), f"{r.scaled}, scaled to all" if r.scaled else "all")
             for r in methods
         )),
-        TableOf(f"Measuring in a process of its own: {frame}", ("method", "peak memory", "time", "regions"), tuple(
+        TableOf(alone, ("method", "peak memory", "time", "regions"), tuple(
             (r.method, f"{r.peak_bytes / 1e9:.2f} GB", _seconds(r.seconds), r.regions) for r in memory
         )),
     ]  # fmt: skip
@@ -230,8 +232,9 @@ called ambiguous. Both, and the gross ones, are fractions of all regions; the ot
 5 cm, so that rounding to the 10 cm grid gives the truth. Gross: off by more than 40 cm; unm. gross: and not called
 ambiguous. Flips: not exact, on the wrong side of focus and nearer to the mirror depth than to the focal plane. Fine:
 RMS error of answers neither gross nor flipped; beside it the Cramer-Rao bound of the same regions, for a Gaussian
-texture of known spectrum. In 95 %: the interval holds the truth. Time: median per region, of one core, all regions of a
-frame measured together."""
+texture of known spectrum. In 95 %: the interval holds the truth. Time: median per region, all regions of a
+frame measured together, of simulated planes on one core; of regions found in a photograph, finding them and the
+all-focus image included."""
 
 
 def tables_json(outcomes: Sequence[Outcome], focus_mm: float) -> dict[str, list[dict[str, Any]]]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +15,7 @@ from calibration.errors import BankError
 from calibration.exchange import diff as diff_banks
 from calibration.exchange import export_npz, export_tiff, import_bank
 from calibration.lens_fit import MIN_DEPTHS_FOR_ZERO
+from calibration.pupil import between_planes
 from calibration.registry import Entry, read_registry
 from calibration.registry import activate as activate_bank
 from calibration.registry import certify as certify_bank
@@ -29,6 +30,7 @@ from workbench.units import cm, length_mm
 def bank_summary(bank: Bank, entry: Entry) -> dict[str, Any]:
     """What ``bank show --json`` prints."""
     lens = bank.lens
+    between = between_planes(bank)
     return {
         "id": bank.id,
         "version": entry.version,
@@ -52,6 +54,7 @@ def bank_summary(bank: Bank, entry: Entry) -> dict[str, Any]:
             "residual_px": [float(r) for r in lens.residual_px],
             "suspect": [bool(s) for s in lens.suspect],
         },
+        "between_planes": asdict(between) if between else None,
         "camera": bank.manifest.get("camera", {}),
         "quality": bank.manifest.get("quality", {}),
     }
@@ -78,6 +81,9 @@ def bank_rows(bank: Bank, entry: Entry) -> list[tuple[str, str]]:
         ("lens fit residual", f"{_rms(lens.residual_px):.3f} px RMS"),
         ("quality", f"{quality.get('verdict', 'unknown')}{''.join(f'; {r}' for r in quality.get('reasons', ()))}"),
     ]
+    if between := between_planes(bank):
+        source = "model of the aperture" if between.source == "pupil" else "interpolated, no model of the aperture fits"
+        rows.insert(-1, ("PSFs between depths", f"{source}, residual {between.residual:.1%}"))
     suspects = [cm(z, 0) for z, bad in zip(bank.depths_mm, lens.suspect, strict=False) if bad]
     if suspects:
         rows.append(("suspect depths", ", ".join(suspects)))

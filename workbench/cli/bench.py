@@ -28,6 +28,7 @@ from workbench.bench.bench_banks import (
 from workbench.bench.cases import BLANK, LIGHTS, SIZES, TEXTURES, depth_list, make_cases
 from workbench.bench.drawn_scenes import write_drawn_scenes
 from workbench.bench.method_speed import MemoryRow, MethodRow, method_rows, peak_memory
+from workbench.bench.one_thread import in_one_thread, sendable
 from workbench.bench.scoring import Outcome
 from workbench.bench.speed import speed_table
 from workbench.bench.tables import (
@@ -387,8 +388,11 @@ def speed(
                     context.note(f"measuring it with {method} for its peak memory")
                     used.append(peak_memory(bank_directory, path, method))
             context.note(f"timing {', '.join(methods)} on six regions")
-            rows = method_rows(develop_photograph(path, bank), bank, methods, scikit_image_depths=scikit_image_depths)
-    tables = speed_tables(kernels, rows, used, f"{frame[1]} x {frame[0]} photosites, one thread")
+            rows = in_one_thread(
+                method_rows, develop_photograph(path, bank), sendable(bank), methods,
+                scikit_image_depths=scikit_image_depths,
+            )  # fmt: skip
+    tables = speed_tables(kernels, rows, used, f"{frame[1]} x {frame[0]} photosites", usable_processors())
     for table in tables:
         context.table(table.columns, table.rows, title=table.title)
         context.say()

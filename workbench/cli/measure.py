@@ -58,7 +58,7 @@ def measure_options(function: click.decorators.FC) -> click.decorators.FC:
             click.option("--segment", type=click.Choice(["depth", "colour"]), default="depth", show_default=True,
                          help="Find regions by colour and blur, or by colour alone."),
             click.option("--q", "srm_q", type=click.FloatRange(min=0.1, max=1e6), default=32.0, show_default=True,
-                         help="Region merging: larger finds more regions."),
+                         help="Region merging by colour: larger cuts finer."),
             click.option("--out", type=click.Path(path_type=Path, file_okay=False), help="Directory for the files."),
         )
     ):  # fmt: skip

@@ -26,6 +26,7 @@ from workbench.depth.evidence_model import DepthModel, EvidenceOptions, learned_
 from workbench.depth.evidence_periodogram import pooled_periodogram
 from workbench.depth.evidence_spectrum import fit_spectra
 from workbench.depth.evidence_windows import Window, hann
+from workbench.processors import each
 
 FloatArray = NDArray[np.float64]
 Labels = NDArray[np.int32]
@@ -72,7 +73,7 @@ class DepthRegionOptions:
 
 
 def regions_of_one_depth(
-    image: LinearImage, bank: Bank, labels: Labels, options: DepthRegionOptions | None = None
+    image: LinearImage, bank: Bank, labels: Labels, options: DepthRegionOptions | None = None, *, workers: int = 1
 ) -> Labels:
     """Split and join colour regions so that each holds one depth.
 
@@ -86,6 +87,8 @@ def regions_of_one_depth(
         int32 (H, W): many small colour regions (superpixels), numbered from 1, every pixel in one.
     options
         See :class:`DepthRegionOptions`.
+    workers
+        Threads.
 
     Returns
     -------
@@ -100,7 +103,7 @@ def regions_of_one_depth(
     shape = -(-height // cell), -(-width // cell)
     model: DepthModel = prepare(bank, EvidenceOptions(radius_step_px=options.radius_step_px))
     windows = _cell_windows(image.shape, cell, shape, options)
-    likelihood = _cell_likelihoods(image.luminance, windows, model)
+    likelihood = _cell_likelihoods(image.luminance, windows, model, workers)
     whole = np.zeros(len(windows), np.int32)
     colours = _cell_colours(image.planes, cell)
     alike = merge_cells(likelihood, colours, shape, whole, options.tolerance, options.least_cells)
@@ -125,18 +128,17 @@ def _cell_windows(
     return [Window(y, x, taper, 1.0) for y in rows for x in columns]
 
 
-def _cell_likelihoods(plane: NDArray[np.float32], windows: list[Window], model: DepthModel) -> FloatArray:
+def _cell_likelihoods(plane: NDArray[np.float32], windows: list[Window], model: DepthModel, workers: int) -> FloatArray:
     """Log-likelihood of each radius in each window, float64 (cells, R)."""
     lags, size = model.kernel_lags.shape[1] // 2, windows[0].taper.shape[0]
-    expected: NDArray[np.float32] | None = None
-    result = []
-    for window in windows:
-        pooled = pooled_periodogram(plane, [window], lags)
-        if expected is None:
-            expected = _low_half(smeared_power(model.kernel_lags, pooled.taper_lags, size))
-        power = _low_half(pooled.power[np.newaxis])[0]
-        result.append(fit_spectra(power, 1.0, expected).log_likelihood)
-    return np.stack(result)
+    taper_lags = pooled_periodogram(plane, windows[:1], lags).taper_lags  # the same for all of them
+    expected = _low_half(smeared_power(model.kernel_lags, taper_lags, size))
+
+    def of_window(window: Window) -> FloatArray:
+        power = pooled_periodogram(plane, [window], lags).power
+        return fit_spectra(_low_half(power[np.newaxis])[0], 1.0, expected).log_likelihood
+
+    return np.stack(each(of_window, windows, workers))
 
 
 def _cell_colours(planes: NDArray[np.float32], cell: int) -> FloatArray:

@@ -53,3 +53,9 @@ class DepthEstimate:
     pixels: int
     reason: str = ""
     diagnostics: Mapping[str, NDArray[np.float64]] = field(default_factory=dict)
+
+
+def local_maxima(curve: NDArray[np.float64]) -> NDArray[np.intp]:
+    """Indices of maxima, ends included; of equal neighbours the first."""
+    padded = np.concatenate([[-np.inf], curve, [-np.inf]])
+    return np.flatnonzero((padded[1:-1] > padded[:-2]) & (padded[1:-1] >= padded[2:]))

@@ -55,6 +55,7 @@ from workbench.depth.evidence_view import (
     view_photosites,
 )
 from workbench.depth.evidence_windows import covered_pixels, place_windows, soft_mask, thinned
+from workbench.processors import each
 
 __all__ = [
     "DepthModel",
@@ -84,7 +85,12 @@ them low frequencies are empty."""
 
 
 def estimate_evidence(
-    image: LinearImage, bank: Bank, labels: NDArray[np.int32], options: EvidenceOptions | None = None
+    image: LinearImage,
+    bank: Bank,
+    labels: NDArray[np.int32],
+    options: EvidenceOptions | None = None,
+    *,
+    workers: int = 1,
 ) -> dict[int, DepthEstimate]:
     """Depth of each region of an image.
 
@@ -98,6 +104,8 @@ def estimate_evidence(
         int32 (H, W): region of each pixel, 0 = none.
     options
         Defaults as described there.
+    workers
+        Regions that are measured at once, in threads; no answer depends on their number.
 
     Returns
     -------
@@ -107,17 +115,17 @@ def estimate_evidence(
     options = options or EvidenceOptions()
     model, learned = prepare(bank, options), learned_of(bank)
     luminance = image.luminance
-    found = {}
-    for label in np.unique(labels[labels > 0]):
+
+    def of_region(label: int) -> DepthEstimate:
         mask = labels == label
         mixture = informative_mixture(image, mask & ~image.saturated, options.colour_gain)
         plane = luminance if mixture is None else np.asarray(image.planes @ mixture.astype(np.float32))
         photosites = image if mixture is None else None  # a colour by itself is sampled too coarsely
         is_light = mixture is None or bool((mixture >= 0).all())
-        found[int(label)] = measure_region(
-            plane, image.saturated, mask, model, learned, options, photosites, is_light=is_light
-        )
-    return found
+        return measure_region(plane, image.saturated, mask, model, learned, options, photosites, is_light=is_light)
+
+    numbers = [int(label) for label in np.unique(labels[labels > 0])]
+    return dict(zip(numbers, each(of_region, numbers, workers), strict=True))
 
 
 @dataclass(frozen=True, slots=True)

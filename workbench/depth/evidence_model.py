@@ -283,7 +283,7 @@ def prepare(bank: Bank, options: EvidenceOptions, field_index: int | None = None
         radius = np.abs(rows)
     else:
         row_of, rows, radius = index - low, sigma, sigma
-    depths = _depths_of(psfs, sigma)
+    depths = _depths_of(psfs, np.minimum(sigma, _FARTHEST * psfs.radius_px(1e12)))
     size = (int(bank.psf.shape[2]) + 4) | 1
     error = float(np.clip(np.nanmedian(psfs.residual), 0.01, 0.2))
     lags = _all_lags(psfs, _depths_of(psfs, rows), size, error)

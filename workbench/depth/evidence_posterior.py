@@ -216,14 +216,14 @@ def summarise(
     interval = sorted(model.depth_mm(float(end)) for end in ends)
     mirror, mirror_probability = float("nan"), 0.0
     if abs(centre) > 2 * se and sigma[0] <= -centre <= sigma[-1]:
-        mirror = model.depth_mm(-centre)
+        mirror = model.depth_mm(min(-centre, model.farthest_px))
         around = np.abs(sigma + centre) < max(6 * se, 1.0)
         around &= np.sign(sigma) == -np.sign(centre)
         mirror_probability = float(density[around].sum())
     second = float("nan")
     if len(modes) > 1 and masses[int(order[1])] > 1e-4:
         start, stop = modes[int(order[1])]
-        second = model.depth_mm(float(sigma[start + int(density[start:stop].argmax())]))
+        second = model.depth_mm(min(float(sigma[start + int(density[start:stop].argmax())]), model.farthest_px))
     mass = masses[int(order[0])]
     # what holds 95 % may begin in another mode though this one holds as much
     joined = low < first or high >= last

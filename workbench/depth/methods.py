@@ -27,8 +27,9 @@ from workbench.depth.references.pentland import PentlandOptions, estimate_pentla
 from workbench.depth.references.second_view import SecondViewOptions
 from workbench.depth.references.zhuo_sim import ZhuoSimOptions, estimate_zhuo_sim
 from workbench.depth.sharpness import SharpnessOptions, estimate_sharpness
+from workbench.processors import each
 
-Estimator = Callable[[LinearImage, Bank, NDArray[np.int32], Any], dict[int, DepthEstimate]]
+Estimator = Callable[..., dict[int, DepthEstimate]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,19 +46,28 @@ class Method:
         ``estimate(image, bank, labels, options)``: depth per label.
     options
         Dataclass of its constants.
+    in_threads
+        Whether ``estimate`` also takes ``workers``.
     """
 
     name: str
     source: str
     estimate: Estimator
     options: type
+    in_threads: bool = False
 
 
 METHODS: dict[str, Method] = {
     method.name: method
     for method in (
-        Method("evidence", "this project, docs/explanation/evidence.md", estimate_evidence, EvidenceOptions),
-        Method("sharpness", "Kim 2021, sharpness assessment", estimate_sharpness, SharpnessOptions),
+        Method(
+            "evidence",
+            "this project, docs/explanation/evidence.md",
+            estimate_evidence,
+            EvidenceOptions,
+            in_threads=True,
+        ),
+        Method("sharpness", "Kim 2021, sharpness assessment", estimate_sharpness, SharpnessOptions, in_threads=True),
         Method("levin", "Levin, Fergus, Durand and Freeman 2007", estimate_levin, LevinOptions),
         Method("pair", "Zhou, Lin and Nayar 2009", estimate_pair, PairOptions),
         Method("zhuo-sim", "Zhuo and Sim 2011", estimate_zhuo_sim, ZhuoSimOptions),
@@ -132,7 +142,13 @@ def _convert(name: str, text: str, kind: Any) -> Any:
 
 
 def estimate_depths(
-    image: LinearImage, bank: Bank, labels: NDArray[np.int32], method: str, settings: Mapping[str, Any]
+    image: LinearImage,
+    bank: Bank,
+    labels: NDArray[np.int32],
+    method: str,
+    settings: Mapping[str, Any],
+    *,
+    workers: int = 1,
 ) -> dict[int, DepthEstimate]:
     """Depth of every labelled region.
 
@@ -146,6 +162,8 @@ def estimate_depths(
         int32 (H, W), 0 = no region.
     method, settings
         Name of the estimator and its options as texts; photographs and banks among them as such.
+    workers
+        Threads for methods that can use them; no answer depends on their number.
 
     Raises
     ------
@@ -154,13 +172,16 @@ def estimate_depths(
     """
     found, options = make_options(method, settings)
     if len(bank.field_yx) == 1:
-        return found.estimate(image, bank, labels, options)
-    estimates: dict[int, DepthEstimate] = {}
-    for label in np.unique(labels[labels > 0]):
+        threads = {"workers": workers} if found.in_threads else {}
+        return found.estimate(image, bank, labels, options, **threads)
+
+    def in_place(label: int) -> dict[int, DepthEstimate]:
         mask = labels == label
         here = bank_at(bank, region_place(mask))
-        estimates |= found.estimate(image, here, np.where(mask, labels, 0).astype(np.int32), options)
-    return estimates
+        return found.estimate(image, here, np.where(mask, labels, 0).astype(np.int32), options)
+
+    parts = each(in_place, np.unique(labels[labels > 0]).tolist(), workers if found.in_threads else 1)
+    return {label: estimate for part in parts for label, estimate in part.items()}
 
 
 def option_values(method: str, settings: Mapping[str, Any]) -> dict[str, Any]:

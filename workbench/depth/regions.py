@@ -116,21 +116,6 @@ def from_roi(shape: tuple[int, int], roi: tuple[int, int, int, int]) -> Labels:
     return labels
 
 
-def from_labels(labels: NDArray[np.integer], shape: tuple[int, int]) -> Labels:
-    """Check labels that were drawn elsewhere: 0 is no region, other numbers are kept.
-
-    Raises
-    ------
-    ValueError
-        Another size than the frame, negative numbers, or no region at all.
-    """
-    if labels.shape != shape:
-        raise ValueError(f"labels are {labels.shape}, the frame is {shape}")
-    if labels.min() < 0 or labels.max() < 1:
-        raise ValueError("labels must be 0 (no region) or positive, and hold a region")
-    return labels.astype(np.int32)
-
-
 def inner(mask: NDArray[np.bool_], margin_px: float, *, frame_is_edge: bool = False) -> NDArray[np.bool_]:
     """Pixels of a region that are further than a margin from its edge.
 

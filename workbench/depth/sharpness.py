@@ -29,10 +29,10 @@ from calibration.bank import Bank
 from calibration.errors import MismatchError
 from calibration.image import LinearImage
 from calibration.optics import mirror_depth
-from workbench.depth.estimate import DepthEstimate, Status
+from workbench.depth.estimate import DepthEstimate, Status, local_maxima
 from workbench.depth.options import require
-from workbench.depth.regions import bounding_box, edge_distance
 from workbench.depth.richardson_lucy import Deconvolver, FloatImage, KernelBank
+from workbench.depth.screening import Region, ScreeningOptions, screen
 
 LambdaReading = Literal["one-minus-abs-sigma-mm", "one-minus-sigma-mm", "minus-sigma", "none"]
 FloatArray = NDArray[np.float64]
@@ -43,8 +43,8 @@ MAPS = ("x", "y", "xx", "yy")
 
 
 @dataclass(frozen=True, slots=True)
-class SharpnessOptions:
-    """Constants of the method; the defaults of the first five are the paper's.
+class SharpnessOptions(ScreeningOptions):
+    """Constants of the method; the defaults of the first five named here are the paper's.
 
     Attributes
     ----------
@@ -61,25 +61,13 @@ class SharpnessOptions:
         sensor, ``-sigma`` in mm as the characters stand, or none.
     fallback_cdf
         Where the threshold is put if no section qualifies ("in most cases 0.9").
-    margin_px
-        Strip along a region's edge that doesn't count; None for the bank's largest blur radius.
-    keep_fraction
-        The strip is made narrower where less than this part of the region would remain.
-    min_pixels
-        Fewer inner pixels than this carry no depth.
     interval_drop
         Depths whose score is within this fraction of the best make the interval.
     ambiguity
         A second peak within this fraction of the best makes a region ambiguous; also the scale on which peaks are
         compared for confidence and mirror probability.
-    min_contrast
-        Least standard deviation of a region's 4 x 4 block means, in units of what noise alone gives.
-    max_saturated
-        Larger fractions of saturated inner pixels are reported.
     diagnostics_side
         Maps for figures are reduced to at most this many pixels a side.
-    workers
-        Threads.
     """
 
     iterations: int = 20
@@ -88,17 +76,12 @@ class SharpnessOptions:
     increment_ratio: float = 2.0
     lambda_reading: LambdaReading = "one-minus-abs-sigma-mm"
     fallback_cdf: float = 0.9
-    margin_px: float | None = None
-    keep_fraction: float = 0.25
-    min_pixels: int = 400
     interval_drop: float = 0.05
     ambiguity: float = 0.01
-    min_contrast: float = 2.0
-    max_saturated: float = 0.1
     diagnostics_side: int = 400
-    workers: int = 1
 
     def __post_init__(self) -> None:
+        ScreeningOptions.__post_init__(self)
         if self.lambda_reading not in get_args(LambdaReading):
             raise ValueError(f"lambda_reading = {self.lambda_reading}: one of {', '.join(get_args(LambdaReading))}")
         require(
@@ -108,15 +91,9 @@ class SharpnessOptions:
             sections=self.sections >= 2,
             increment_ratio=self.increment_ratio > 0,
             fallback_cdf=0 <= self.fallback_cdf < 1,
-            margin_px=self.margin_px is None or self.margin_px >= 0,
-            keep_fraction=0 < self.keep_fraction <= 1,
-            min_pixels=self.min_pixels >= 1,
             interval_drop=0 <= self.interval_drop < 1,
             ambiguity=0 < self.ambiguity < 1,
-            min_contrast=self.min_contrast >= 0,
-            max_saturated=0 <= self.max_saturated <= 1,
             diagnostics_side=self.diagnostics_side >= 1,
-            workers=self.workers >= 1,
         )
 
 
@@ -143,10 +120,8 @@ class Denoised:
 
 
 @dataclass(slots=True)
-class _Region:
-    label: int
-    box: tuple[slice, slice]
-    inside: Mask
+class _Scored:
+    region: Region
     scores: FloatArray
     """(4, D)."""
     best_total: float = -np.inf
@@ -154,7 +129,12 @@ class _Region:
 
 
 def estimate_sharpness(
-    image: LinearImage, bank: Bank, regions: NDArray[np.int32], options: SharpnessOptions | None = None
+    image: LinearImage,
+    bank: Bank,
+    regions: NDArray[np.int32],
+    options: SharpnessOptions | None = None,
+    *,
+    workers: int = 1,
 ) -> dict[int, DepthEstimate]:
     """Depth of each region by sharpness assessment.
 
@@ -168,6 +148,8 @@ def estimate_sharpness(
         int32 (H, W), 0 = no region.
     options
         See :class:`SharpnessOptions`.
+    workers
+        Threads; no answer depends on their number.
 
     Returns
     -------
@@ -184,27 +166,15 @@ def estimate_sharpness(
         A lambda in mm for a bank that doesn't state its pixel pitch.
     """
     options = options or SharpnessOptions()
-    if regions.shape != image.shape:
-        raise ValueError(f"labels are {regions.shape}, the image is {image.shape}")
     sigma_mm = _sigma_mm(bank, options)
     weight = lambda_factor(sigma_mm, options.lambda_reading)
-    luminance = image.luminance
-    noise = _noise_level(luminance)
-    margin = float(np.abs(bank.lens.radius_px).max()) if options.margin_px is None else options.margin_px
-    estimates: dict[int, DepthEstimate] = {}
-    usable: list[_Region] = []
-    for label in (int(value) for value in np.unique(regions) if value > 0):
-        region = _region(regions, label, margin, len(bank.depths_mm), options)
-        refused = _refuse(region, luminance, noise, bank, options)
-        if refused is not None:
-            estimates[label] = refused
-        else:
-            usable.append(region)
+    screened = screen(image, bank, regions, options)
+    estimates = dict(screened.refused)
+    usable = [_Scored(region, np.zeros((len(MAPS), len(bank.depths_mm)))) for region in screened.regions]
     if usable:
-        _score_all(luminance, ~image.saturated, bank, usable, weight, options)
-    for region in usable:
-        saturated = float(image.saturated[region.box][region.inside].mean())
-        estimates[region.label] = _conclude(region, bank, weight, sigma_mm, saturated, options)
+        _score_all(image.luminance, ~image.saturated, bank, usable, weight, options, workers)
+    for scored in usable:
+        estimates[scored.region.label] = _conclude(scored, bank, weight, sigma_mm, options)
     return dict(sorted(estimates.items()))
 
 
@@ -281,91 +251,62 @@ def _sigma_mm(bank: Bank, options: SharpnessOptions) -> FloatArray:
     return sigma_px * bank.pixel_pitch_mm
 
 
-def _region(labels: NDArray[np.int32], label: int, margin: float, depths: int, options: SharpnessOptions) -> _Region:
-    """A region's inner part, in the box that holds it."""
-    mask = labels == label
-    box = bounding_box(mask)
-    distance = edge_distance(mask[box], frame_is_edge=True)
-    limit = float(np.quantile(distance[mask[box]], 1.0 - options.keep_fraction))
-    # Distances of edge pixels are 1: a region that can't afford any margin keeps all of its pixels.
-    inside = mask[box] & (distance > min(margin, limit - 0.5))
-    return _Region(label, box, inside, np.zeros((len(MAPS), depths)))
-
-
-def _refuse(
-    region: _Region, luminance: FloatImage, noise: float, bank: Bank, options: SharpnessOptions
-) -> DepthEstimate | None:
-    """The estimate of a region that can't say anything."""
-    pixels = int(region.inside.sum())
-    if pixels < options.min_pixels:
-        reason = f"only {pixels} inner pixels, {options.min_pixels} are needed"
-    elif _contrast(luminance[region.box], region.inside) < options.min_contrast * noise / 4:
-        reason = "no texture above the noise"
-    else:
-        return None
-    nan = float("nan")
-    return DepthEstimate(
-        depth_mm=nan, interval_mm=(nan, nan), confidence=0.0, mirror_mm=nan, mirror_probability=nan,
-        status="no-texture", depths_mm=bank.depths_mm, score=np.zeros(len(bank.depths_mm)), second_mm=nan,
-        pixels=pixels, reason=reason,
-    )  # fmt: skip
-
-
 def _score_all(
     luminance: FloatImage,
     observed: Mask,
     bank: Bank,
-    regions: list[_Region],
+    scored: list[_Scored],
     weight: FloatArray,
     options: SharpnessOptions,
+    workers: int,
 ) -> None:
     """Deconvolve what the regions span once per depth, and score every region in it."""
     reach = bank.psf.shape[-1] // 2
+    boxes = [each.region.box for each in scored]
     spans = [
         slice(
-            max(0, min(region.box[axis].start for region in regions) - reach),
-            max(region.box[axis].stop for region in regions) + reach,
+            max(0, min(box[axis].start for box in boxes) - reach),
+            max(box[axis].stop for box in boxes) + reach,
         )
         for axis in (0, 1)
     ]
     crop = (spans[0], spans[1])
     plane = luminance[crop]
     deconvolver = Deconvolver(
-        (plane.shape[0], plane.shape[1]), bank.psf.shape[-1], mask=observed[crop], workers=options.workers
+        (plane.shape[0], plane.shape[1]), bank.psf.shape[-1], mask=observed[crop], workers=workers
     )
     prepared = deconvolver.prepare(plane)
     kernels = KernelBank(deconvolver, bank.central, max_bytes=0)
     for depth in range(len(bank.depths_mm)):
         deconvolved = deconvolver.richardson_lucy(prepared, kernels[depth], options.iterations)
         maps = edge_maps(deconvolved, options.window)
-        for region in regions:
+        for each in scored:
             here = tuple(
                 slice(part.start - span.start, part.stop - span.start)
-                for part, span in zip(region.box, crop, strict=True)
+                for part, span in zip(each.region.box, crop, strict=True)
             )
             for row, name in enumerate(MAPS):
-                region.scores[row, depth] = denoise(maps[name][here][region.inside], options).score
-            total = weight[depth] * region.scores[:, depth].sum()
-            if total > region.best_total:
-                region.best_total = total
-                region.best_deconvolved = deconvolved[here].copy()
+                each.scores[row, depth] = denoise(maps[name][here][each.region.inside], options).score
+            total = weight[depth] * each.scores[:, depth].sum()
+            if total > each.best_total:
+                each.best_total = total
+                each.best_deconvolved = deconvolved[here].copy()
 
 
 def _conclude(
-    region: _Region,
+    scored: _Scored,
     bank: Bank,
     weight: FloatArray,
     sigma_mm: FloatArray,
-    saturated: float,
     options: SharpnessOptions,
 ) -> DepthEstimate:
-    total = weight * region.scores.sum(axis=0)
+    total = weight * scored.scores.sum(axis=0)
     top = float(total.max())
     curve = total / abs(top) if top else total
     best = int(np.argmax(curve))
     depths = bank.depths_mm
     depth = float(depths[best])
-    peaks = [int(index) for index in _local_maxima(curve) if index != best]
+    peaks = [int(index) for index in local_maxima(curve) if index != best]
     second = max(peaks, key=lambda index: curve[index], default=None)
     likeness = np.exp((curve - curve[best]) / options.ambiguity)
     confidence = 1.0 / (1.0 + float(likeness[peaks].sum()))
@@ -382,9 +323,9 @@ def _conclude(
     if second is not None and curve[best] - curve[second] < options.ambiguity:
         status = "ambiguous"
         reason = f"{depths[second] / 10:.1f} cm scores within {100 * options.ambiguity:g} % of the best"
-    if saturated > options.max_saturated:
+    if scored.region.saturated > options.max_saturated:
         status = "saturated"
-        reason = f"{100 * saturated:.0f} % of the inner pixels are saturated"
+        reason = f"{100 * scored.region.saturated:.0f} % of the inner pixels are saturated"
     return DepthEstimate(
         depth_mm=depth,
         interval_mm=_interval(depths, curve, options.interval_drop),
@@ -395,21 +336,15 @@ def _conclude(
         depths_mm=depths,
         score=curve,
         second_mm=float("nan") if second is None else float(depths[second]),
-        pixels=int(region.inside.sum()),
+        pixels=scored.region.pixels,
         reason=reason,
         diagnostics={
-            "scores": region.scores,
+            "scores": scored.scores,
             "lambda": weight,
             "sigma_mm": sigma_mm,
-            **_diagnostics(region, options),
+            **_diagnostics(scored, options),
         },
     )
-
-
-def _local_maxima(curve: FloatArray) -> NDArray[np.intp]:
-    """Indices of maxima, ends included; of equal neighbours the first."""
-    padded = np.concatenate([[-np.inf], curve, [-np.inf]])
-    return np.flatnonzero((padded[1:-1] > padded[:-2]) & (padded[1:-1] >= padded[2:]))
 
 
 def _interval(depths: FloatArray, curve: FloatArray, drop: float) -> tuple[float, float]:
@@ -419,14 +354,14 @@ def _interval(depths: FloatArray, curve: FloatArray, drop: float) -> tuple[float
     return float(edges[good[0]]), float(edges[good[-1] + 1])
 
 
-def _diagnostics(region: _Region, options: SharpnessOptions) -> dict[str, FloatArray]:
-    if region.best_deconvolved is None:
+def _diagnostics(scored: _Scored, options: SharpnessOptions) -> dict[str, FloatArray]:
+    if scored.best_deconvolved is None:
         return {}
-    found: dict[str, FloatArray] = {}
-    for name, window_sums in edge_maps(region.best_deconvolved, options.window).items():
-        result = denoise(window_sums[region.inside], options)
-        picture = np.where(region.inside, window_sums / (result.total or 1.0), 0.0)
-        counts, edges = np.histogram(picture[region.inside], bins=64)
+    inside, found = scored.region.inside, dict[str, FloatArray]()
+    for name, window_sums in edge_maps(scored.best_deconvolved, options.window).items():
+        result = denoise(window_sums[inside], options)
+        picture = np.where(inside, window_sums / (result.total or 1.0), 0.0)
+        counts, edges = np.histogram(picture[inside], bins=64)
         found |= {
             f"window_{name}": _reduced(picture, options.diagnostics_side),
             f"denoised_{name}": _reduced(np.where(picture > result.threshold, picture, 0.0), options.diagnostics_side),
@@ -444,31 +379,3 @@ def _reduced(picture: FloatArray, side: int) -> FloatArray:
         return picture
     size = (max(1, round(picture.shape[1] / factor)), max(1, round(picture.shape[0] / factor)))
     return np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_AREA), np.float64)
-
-
-def _noise_level(luminance: FloatImage) -> float:
-    """Standard deviation of pixel noise, from the quietest tiles.
-
-    Immerkaer's kernel (Computer Vision and Image Understanding 64, 300, 1996), which sees no plane and no edge along an
-    axis; its median absolute value in tiles of 16 x 16, of which the tenth percentile: the other tiles hold texture.
-    """
-    kernel = np.outer([1, -2, 1], [1, -2, 1]).astype(np.float32)
-    response = np.abs(cv2.filter2D(luminance, -1, kernel))
-    height, width = (side // 16 for side in luminance.shape)
-    if height == 0 or width == 0:
-        return float(np.median(response)) / 0.6745 / 6
-    tiles = response[: 16 * height, : 16 * width].reshape(height, 16, width, 16)
-    return float(np.quantile(np.median(tiles, axis=(1, 3)), 0.1)) / 0.6745 / 6
-
-
-def _contrast(luminance: FloatImage, inside: Mask) -> float:
-    """Standard deviation of the 4 x 4 block means that lie inside, after a plane is taken away."""
-    height, width = (side // 4 for side in luminance.shape)
-    blocks = luminance[: 4 * height, : 4 * width].reshape(height, 4, width, 4).mean(axis=(1, 3), dtype=np.float64)
-    full = inside[: 4 * height, : 4 * width].reshape(height, 4, width, 4).all(axis=(1, 3))
-    y, x = np.nonzero(full)
-    if len(y) < 4:
-        return 0.0
-    values = blocks[full]
-    plane = np.stack([np.ones(len(y)), y, x], axis=1)
-    return float(np.std(values - plane @ np.linalg.lstsq(plane, values, rcond=None)[0]))

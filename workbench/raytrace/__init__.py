@@ -1,1 +1,1 @@
-"""Photographs made by tracing rays: a second opinion that shares no code with simulator or estimators."""
+"""Photographs made by tracing rays: a second opinion, with optics and textures of its own."""

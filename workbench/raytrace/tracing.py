@@ -9,7 +9,6 @@ blur and occlusion come from which rays meet what.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.stats import norm, qmc
 
 from workbench.compiled import compiled
-from workbench.processors import usable_processors
+from workbench.processors import each, usable_processors
 from workbench.raytrace.world import Camera, Surface
 
 Floats = NDArray[np.float64]
@@ -70,8 +69,7 @@ def trace(camera: Camera, surfaces: Sequence[Surface], *, rays: int, seed: int) 
         _trace_rows(light[rows], shifts[rows], top, camera.height, camera.width, unit, camera.focus_mm, samples,
                     triangles, quantiles, shapes, texels)  # fmt: skip
 
-    with ThreadPoolExecutor(usable_processors()) as pool:
-        list(pool.map(band, range(0, camera.height, _BAND)))
+    each(band, range(0, camera.height, _BAND), usable_processors())
     depth = np.full((camera.height // 2, camera.width // 2), np.inf, np.float32)
     surface = np.full(depth.shape, -1, np.int16)
     _look(depth, surface, camera.height, camera.width, unit, shapes, texels)

@@ -12,6 +12,7 @@ import numpy as np
 from calibration.bank import Bank
 from calibration.lens_fit import MIN_DEPTHS_FOR_ZERO
 from calibration.optics import depth_from_radius
+from calibration.pupil import between_planes
 from calibration.quality import LIMITS
 from workbench.figures import bank as bank_figures
 from workbench.files import write_text
@@ -92,6 +93,13 @@ def _lens_rows(bank: Bank) -> list[dict[str, str]]:
     radius_mm = bank.manifest.get("aperture", {}).get("radius_mm")
     if radius_mm:
         rows.append(("Aperture radius", radius_mm, math.nan, 3, "mm", "circle about the aperture, from the fit"))
+    if between := between_planes(bank):
+        meaning = (
+            "of a picture of the aperture, which gives the PSF at any depth, against the measured ones"
+            if between.source == "pupil"
+            else "of PSFs interpolated between depths, since no picture of the aperture fits; each left out in turn"
+        )
+        rows.append(("PSF residual", 100 * between.residual, math.nan, 1, "%", meaning))
     return [
         {"name": name, "value": fixed(value, digits), "error": fixed(error, digits + 1), "unit": unit,
          "meaning": meaning}

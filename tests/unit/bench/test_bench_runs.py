@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 import time
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from bench_drawings import small_bank
@@ -18,6 +20,7 @@ from rigs.simulated.world import SimulatedRigSettings
 from workbench.bench.accuracy import Run, View, run_cases
 from workbench.bench.cases import Case
 from workbench.bench.method_speed import SCIKIT_IMAGE, method_rows, peak_memory, six_regions
+from workbench.bench.one_thread import in_one_thread
 from workbench.cli import workbench
 from workbench.cli.common import run as run_command
 from workbench.errors import InputError
@@ -147,3 +150,14 @@ def test_wrong_wishes_are_refused_before_anything_is_made(
 ) -> None:
     assert run_command(workbench, ["bench", "accuracy", *arguments]) == 2
     assert message in capsys.readouterr().err
+
+
+def test_work_in_one_thread_runs_under_limits_that_this_process_keeps_clear_of(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setenv("OMP_NUM_THREADS", "7")
+    monkeypatch.delenv("NUMBA_NUM_THREADS", raising=False)
+    assert in_one_thread(os.getenv, "OMP_NUM_THREADS") == "1"
+    assert os.environ["OMP_NUM_THREADS"] == "7"
+    assert "NUMBA_NUM_THREADS" not in os.environ
+    assert in_one_thread(cv2.getNumThreads) == 1

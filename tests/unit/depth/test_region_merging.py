@@ -5,7 +5,7 @@ from drawings import as_image
 from numpy.typing import NDArray
 
 from workbench.depth.merging import absorb_small, merge_regions, region_means
-from workbench.depth.regions import SrmOptions, edge_distance, from_labels, from_roi, inner, srm, whole
+from workbench.depth.regions import SrmOptions, edge_distance, from_roi, inner, srm, whole
 
 
 def noisy_patches(noise: float, seed: int = 0) -> tuple[NDArray[np.uint8], NDArray[np.int32]]:
@@ -172,11 +172,6 @@ def test_given_regions() -> None:
     assert roi[2:6, 3:8].all()
     with pytest.raises(ValueError, match="isn't within the frame of 20 x 10"):
         from_roi((10, 20), (16, 2, 5, 4))
-    assert from_labels(np.array([[0, 7]], np.uint8), (1, 2)).tolist() == [[0, 7]]
-    with pytest.raises(ValueError, match="the frame is"):
-        from_labels(np.ones((2, 2), np.int64), (1, 2))
-    with pytest.raises(ValueError, match="hold a region"):
-        from_labels(np.zeros((1, 2), np.int64), (1, 2))
 
 
 @pytest.mark.parametrize("bad", [{"q": 0.0}, {"min_fraction": 1.0}, {"gamma": -1.0}, {"working_side": -5}])

@@ -17,6 +17,7 @@ from workbench.depth.evidence_expected import mixed_power
 from workbench.depth.evidence_learn import learn
 from workbench.depth.evidence_model import LEARNED, Learned
 from workbench.depth.evidence_posterior import log_prior
+from workbench.depth.methods import estimate_depths
 from workbench.depth.regions import whole
 
 SIDE = 128 + 40
@@ -263,3 +264,18 @@ def test_bank_that_reaches_near_infinity_measures(last_mm: float) -> None:
     image = photograph(leaves(SIDE, 4), 19000.0)
     found = estimate_evidence(image, bank, whole(image.shape))[1]
     assert 0 < found.interval_mm[0] <= 19000.0 <= found.interval_mm[1]
+    assert found.depths_mm.min() > 0
+    assert not found.mirror_mm < 0
+    assert not found.second_mm < 0
+
+
+def test_regions_measured_at_once_have_the_same_depths_as_one_by_one(bank: Bank) -> None:
+    image = photograph(leaves(2 * SIDE, 8), 2600.0)
+    labels = np.zeros(image.shape, np.int32)
+    for number, (row, column) in enumerate(((0, 0), (0, 1), (1, 0), (1, 1)), start=3):
+        labels[row * SIDE : row * SIDE + 140, column * SIDE : column * SIDE + 140] = number
+    one_by_one = estimate_depths(image, bank, labels, "evidence", {})
+    at_once = estimate_depths(image, bank, labels, "evidence", {}, workers=3)
+    assert list(at_once) == [3, 4, 5, 6]
+    assert [e.depth_mm for e in at_once.values()] == [e.depth_mm for e in one_by_one.values()]
+    assert [e.interval_mm for e in at_once.values()] == [e.interval_mm for e in one_by_one.values()]

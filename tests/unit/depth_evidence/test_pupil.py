@@ -6,7 +6,15 @@ import numpy as np
 import pytest
 
 from calibration.bank import Bank
-from calibration.pupil import PsfInterpolator, PupilModel, fit_pupil, interpolator_of_bank, psf_model
+from calibration.pupil import (
+    BetweenPlanes,
+    PsfInterpolator,
+    PupilModel,
+    between_planes,
+    fit_pupil,
+    interpolator_of_bank,
+    psf_model,
+)
 from tests.unit.depth_evidence.synthetic import draw_psf, make_bank
 
 
@@ -62,6 +70,22 @@ def test_outline_that_changes_with_depth_falls_back_to_interpolation(bank: Bank)
     assert np.median(pupil.residual) > 0.15
     blend = PsfInterpolator(broken.depths_mm, broken.psf[0], (13.0, -20800.0), np.zeros((broken.depths_mm.size, 2)))
     np.testing.assert_allclose(blend.psf_at(float(broken.depths_mm[1])), psf[0, 1].clip(0), atol=5e-3)
+
+
+def test_where_psfs_between_the_planes_come_from_is_told(bank: Bank) -> None:
+    told = between_planes(bank)
+    assert told is not None
+    assert told.source == "pupil"
+    assert 0 < told.residual < 0.15
+    psf, generator = np.array(bank.psf), np.random.default_rng(1)
+    for i in range(psf.shape[1]):  # alike from plane to plane, and nothing that scales
+        psf[0, i] = np.roll(draw_psf(900.0), i, axis=0)
+        psf[0, i] += 1e-6 * generator.random(psf[0, i].shape).astype(np.float32)
+    odd = Bank(bank.depths_mm, psf, bank.psf_se, bank.field_yx, bank.lens, bank.recipe, bank.pixel_pitch_mm)
+    assert between_planes(odd) == BetweenPlanes("interpolation", float(np.median(psf_model(odd).residual)))
+    few = Bank(bank.depths_mm[:2], psf[:, :2], bank.psf_se[:, :2], bank.field_yx, bank.lens, bank.recipe,
+               bank.pixel_pitch_mm)  # fmt: skip
+    assert between_planes(few) is None
 
 
 def test_bank_without_aperture_picture_is_fitted_anew(bank: Bank) -> None:

@@ -9,9 +9,8 @@ from numpy.typing import NDArray
 
 from calibration.bank import Bank
 from calibration.optics import mirror_depth
-from workbench.depth.estimate import DepthEstimate, Status
+from workbench.depth.estimate import DepthEstimate, Status, local_maxima
 from workbench.depth.screening import Region
-from workbench.depth.sharpness import _local_maxima
 
 FloatArray = NDArray[np.float64]
 
@@ -42,7 +41,7 @@ def estimate_from_cost(
     score = float(cost.min()) / np.maximum(cost, 1e-300)
     best = int(np.argmax(score))
     depths = bank.depths_mm
-    peaks = [int(index) for index in _local_maxima(score) if index != best]
+    peaks = [int(index) for index in local_maxima(score) if index != best]
     second = max(peaks, key=lambda index: score[index], default=None)
     depth = float(depths[best])
     mirror = mirror_depth(depth, focus_mm=bank.lens.focus_mm)
