@@ -27,6 +27,7 @@ from workbench.depth.evidence_doubt import (
     uneven,
     unless_another_blur_fits,
     unless_beyond_reach,
+    unless_few_lines,
     unless_halves_disagree,
     unless_negative,
     unless_on_either_side,
@@ -316,4 +317,5 @@ def _conclude(
         estimate, likelihood, modes, (far, near), cost / learned.temperature, model, options
     )
     estimate = unless_beyond_reach(estimate, modes, side_odds(clues, learned), model)
-    return unless_on_either_side(unless_negative(estimate, modes, cost, model), model)
+    estimate = unless_on_either_side(unless_negative(estimate, modes, cost, model), model)
+    return unless_few_lines(estimate, seen.line_share, model)

@@ -28,6 +28,10 @@ from workbench.figures.style import (
 
 _TICKS_CM = (60, 80, 100, 130, 160, 200, 250, 350)
 _COLUMNS = 3
+_COLOURS = (*REGION_COLOURS, MUTED)
+"""Of methods, in the order of the tables."""
+_BAR_IN, _BARS_IN = 0.16, 0.8
+"""Height of one method's bar, and most of all bars of a texture."""
 
 
 def measured_against_true(outcomes: Sequence[Outcome], focus_mm: float) -> Figure:
@@ -83,19 +87,19 @@ def rates_by_texture(outcomes: Sequence[Outcome], focus_mm: float) -> Figure:
     textures = list(dict.fromkeys(key[1] for key in groups))
     height = 0.8 / len(methods)
     with style():
-        figure = new_figure(WIDTH_IN, 1.0 + 0.16 * len(textures) * max(2, len(methods)))
+        figure = new_figure(WIDTH_IN, 1.0 + len(textures) * min(_BAR_IN * max(2, len(methods)), _BARS_IN))
         panels = figure.subplots(1, 2, sharey=True)
         for axes, what in zip(panels, ("exact", "gross"), strict=True):
             for k, method in enumerate(methods):
                 shares = [100 * getattr(groups[method, t], what) if (method, t) in groups else np.nan for t in textures]
                 places = np.arange(len(textures)) + (k - (len(methods) - 1) / 2) * height
-                axes.barh(places, shares, height * 0.9, color=REGION_COLOURS[k % len(REGION_COLOURS)], label=method)
+                axes.barh(places, shares, height * 0.9, color=_COLOURS[k % len(_COLOURS)], label=method)
             axes.set_yticks(range(len(textures)), textures)
             axes.set_xlim(0, 100)
             axes.set_title({"exact": "exact, % of answers", "gross": "off by more than 40 cm, % of regions"}[what])
             axes.grid(True, axis="x")
             axes.set_axisbelow(True)
-        panels[0].invert_yaxis()
+        panels[0].set_ylim(len(textures) - 0.5, -0.5)
         handles, names = panels[0].get_legend_handles_labels()
         figure.legend(handles, names, loc="outside lower center", ncols=min(5, len(names)))
     return figure
@@ -112,7 +116,7 @@ def error_and_bound(outcomes: Sequence[Outcome], focus_mm: float) -> Figure:
         for axes, size in zip(figure.subplots(1, len(sizes), sharey=True, squeeze=False)[0], sizes, strict=True):
             for k, method in enumerate(methods):
                 found = [groups.get((size, method, band)) for band in bands]
-                colour = REGION_COLOURS[k % len(REGION_COLOURS)]
+                colour = _COLOURS[k % len(_COLOURS)]
                 axes.plot([f.fine_rms_cm if f else np.nan for f in found], "o-", color=colour, label=method)
                 bounds = [f.bound_cm if f else np.nan for f in found]
                 if k == 0 and np.isfinite(bounds).any():

@@ -12,7 +12,7 @@ from calibration.bank import Bank
 from tests.unit.depth_evidence.synthetic import as_image, leaves, make_bank, photograph, with_pupil
 from workbench.depth.evidence import EvidenceOptions, estimate_evidence, prepare
 from workbench.depth.evidence_colour import informative_mixture
-from workbench.depth.evidence_doubt import unless_on_either_side
+from workbench.depth.evidence_doubt import unless_few_lines, unless_on_either_side
 from workbench.depth.evidence_expected import mixed_power
 from workbench.depth.evidence_learn import learn
 from workbench.depth.evidence_model import LEARNED, Learned
@@ -199,6 +199,26 @@ def test_interval_that_reaches_far_to_both_sides_of_focus_names_neither(
     found = unless_on_either_side(replace(sure, interval_mm=interval_mm, status="ok"), prepare(bank, EvidenceOptions()))
     assert found.status == status
     assert bool(found.reason) == (status == "ambiguous")
+
+
+@pytest.mark.parametrize(("true_mm", "line_share", "status"), [
+    (1660.0, 0.7, "ambiguous"), (1660.0, 0.5, "ok"), (2600.0, 0.7, "ok"),
+])  # fmt: skip
+def test_few_spectral_lines_tell_no_small_blur_from_another(
+    bank: Bank, true_mm: float, line_share: float, status: str
+) -> None:
+    model = prepare(bank, EvidenceOptions())
+    image = photograph(leaves(SIDE, 2), true_mm)
+    sure = replace(estimate_evidence(image, bank, whole(image.shape))[1], status="ok", reason="")
+    found = unless_few_lines(sure, line_share, model)
+    assert found.status == status
+    if status == "ok":
+        assert found is sure
+    else:
+        assert found.reason
+        assert found.depth_mm == sure.depth_mm
+        assert found.interval_mm[0] == pytest.approx(model.depth_mm(-4.0))
+        assert found.interval_mm[1] == pytest.approx(model.depth_mm(4.0))
 
 
 def test_side_of_a_single_edge_next_to_focus_stays_open(bank: Bank) -> None:
