@@ -262,7 +262,7 @@ def _score_all(
 ) -> None:
     """Deconvolve what the regions span once per depth, and score every region in it."""
     reach = bank.psf.shape[-1] // 2
-    boxes = [each.region.box for each in scored]
+    boxes = [one.region.box for one in scored]
     spans = [
         slice(
             max(0, min(box[axis].start for box in boxes) - reach),
@@ -280,17 +280,17 @@ def _score_all(
     for depth in range(len(bank.depths_mm)):
         deconvolved = deconvolver.richardson_lucy(prepared, kernels[depth], options.iterations)
         maps = edge_maps(deconvolved, options.window)
-        for each in scored:
+        for one in scored:
             here = tuple(
                 slice(part.start - span.start, part.stop - span.start)
-                for part, span in zip(each.region.box, crop, strict=True)
+                for part, span in zip(one.region.box, crop, strict=True)
             )
             for row, name in enumerate(MAPS):
-                each.scores[row, depth] = denoise(maps[name][here][each.region.inside], options).score
-            total = weight[depth] * each.scores[:, depth].sum()
-            if total > each.best_total:
-                each.best_total = total
-                each.best_deconvolved = deconvolved[here].copy()
+                one.scores[row, depth] = denoise(maps[name][here][one.region.inside], options).score
+            total = weight[depth] * one.scores[:, depth].sum()
+            if total > one.best_total:
+                one.best_total = total
+                one.best_deconvolved = deconvolved[here].copy()
 
 
 def _conclude(

@@ -16,7 +16,7 @@ from workbench.depth.evidence_doubt import unless_few_lines, unless_on_either_si
 from workbench.depth.evidence_expected import mixed_power
 from workbench.depth.evidence_learn import learn
 from workbench.depth.evidence_model import LEARNED, Learned
-from workbench.depth.evidence_posterior import log_prior
+from workbench.depth.evidence_posterior import log_prior, summarise
 from workbench.depth.methods import estimate_depths
 from workbench.depth.regions import whole
 
@@ -285,8 +285,20 @@ def test_bank_that_reaches_near_infinity_measures(last_mm: float) -> None:
     found = estimate_evidence(image, bank, whole(image.shape))[1]
     assert 0 < found.interval_mm[0] <= 19000.0 <= found.interval_mm[1]
     assert found.depths_mm.min() > 0
-    assert not found.mirror_mm < 0
-    assert not found.second_mm < 0
+
+
+def test_no_other_depth_lies_beyond_infinity() -> None:
+    bank = with_pupil(make_bank(depths_mm=1.0 / np.linspace(1 / 700.0, 1 / 40000.0, 24)))
+    options = EvidenceOptions()
+    model = prepare(bank, options)
+    beyond = model.psfs.radius_px(1e12) + 0.2
+    sigma = np.linspace(-beyond - 1.0, beyond + 0.2, 4001)
+    places = ((-beyond, 0.0), (beyond, -1.0))  # a second depth, and the mirror of the first, past infinity
+    log_post = np.logaddexp.reduce([level - 0.5 * ((sigma - place) / 0.05) ** 2 for place, level in places])
+    found = summarise(sigma, log_post, 16384, 0.1, 1, model, Learned(), options, {})
+    assert found.depth_mm < 1600.0
+    assert found.second_mm > 40000.0
+    assert found.mirror_mm > 40000.0
 
 
 def test_regions_measured_at_once_have_the_same_depths_as_one_by_one(bank: Bank) -> None:
