@@ -15,7 +15,7 @@ from calibration.errors import BankError
 from calibration.exchange import diff as diff_banks
 from calibration.exchange import export_npz, export_tiff, import_bank
 from calibration.lens_fit import MIN_DEPTHS_FOR_ZERO
-from calibration.pupil import between_planes
+from calibration.pupil import BetweenPlanes, between_planes
 from calibration.registry import Entry, read_registry
 from calibration.registry import activate as activate_bank
 from calibration.registry import certify as certify_bank
@@ -28,9 +28,8 @@ from workbench.units import cm, length_mm
 
 
 def bank_summary(bank: Bank, entry: Entry) -> dict[str, Any]:
-    """What ``bank show --json`` prints."""
+    """What ``bank list --json`` prints of each bank."""
     lens = bank.lens
-    between = between_planes(bank)
     return {
         "id": bank.id,
         "version": entry.version,
@@ -54,14 +53,19 @@ def bank_summary(bank: Bank, entry: Entry) -> dict[str, Any]:
             "residual_px": [float(r) for r in lens.residual_px],
             "suspect": [bool(s) for s in lens.suspect],
         },
-        "between_planes": asdict(between) if between else None,
         "camera": bank.manifest.get("camera", {}),
         "quality": bank.manifest.get("quality", {}),
     }
 
 
-def bank_rows(bank: Bank, entry: Entry) -> list[tuple[str, str]]:
-    """What ``bank show`` prints, as rows of name and value."""
+def tell_bank(context: Context, bank: Bank, entry: Entry) -> dict[str, Any]:
+    """Print one bank as ``bank show`` does; gives what its ``--json`` prints: the summary, and ``between_planes``."""
+    between = between_planes(bank)
+    context.table(("", ""), _bank_rows(bank, entry, between), title=f"Bank v{entry.version} {bank.id}")
+    return {**bank_summary(bank, entry), "between_planes": asdict(between) if between else None}
+
+
+def _bank_rows(bank: Bank, entry: Entry, between: BetweenPlanes | None) -> list[tuple[str, str]]:
     lens = bank.lens
     quality = bank.manifest.get("quality", {})
     pitch = f"{bank.pixel_pitch_mm * 1000:.2f} um" if bank.pixel_pitch_mm else "unknown pitch"
@@ -81,7 +85,7 @@ def bank_rows(bank: Bank, entry: Entry) -> list[tuple[str, str]]:
         ("lens fit residual", f"{_rms(lens.residual_px):.3f} px RMS"),
         ("quality", f"{quality.get('verdict', 'unknown')}{''.join(f'; {r}' for r in quality.get('reasons', ()))}"),
     ]
-    if between := between_planes(bank):
+    if between:
         source = "model of the aperture" if between.source == "pupil" else "interpolated, no model of the aperture fits"
         rows.insert(-1, ("PSFs between depths", f"{source}, residual {between.residual:.1%}"))
     suspects = [cm(z, 0) for z, bad in zip(bank.depths_mm, lens.suspect, strict=False) if bad]
@@ -142,8 +146,7 @@ def list_banks(context: Context) -> None:
 def show(context: Context, ref: str) -> None:
     """Show one bank: lens fit, quality, provenance."""
     loaded, entry = open_bank(context.project(), ref)
-    context.table(("", ""), bank_rows(loaded, entry), title=f"Bank v{entry.version} {loaded.id}")
-    context.emit(bank_summary(loaded, entry))
+    context.emit(tell_bank(context, loaded, entry))
 
 
 @bank.command()
@@ -279,8 +282,7 @@ def import_(context: Context, path: Path, depths: str | None, recipe: str | None
         recipe=recipe, pixel_pitch_mm=pixel_pitch, default_recipe="superpixel",
     )  # fmt: skip
     entry = store_bank(project, made).entry
-    context.table(("", ""), bank_rows(made, entry), title=f"Bank v{entry.version} {made.id}")
-    context.emit(bank_summary(made, entry))
+    context.emit(tell_bank(context, made, entry))
     check_activated(made, entry)
 
 

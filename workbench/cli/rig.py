@@ -195,17 +195,15 @@ def _resumable(message: str, *, by_hand: bool) -> str:
 
 
 def _show_bank(context: Context, project: Project, result: CalibrationResult, session: str = "") -> None:
-    from workbench.cli.banks import bank_rows, bank_summary, check_activated
+    from workbench.cli.banks import check_activated, tell_bank
 
-    context.table(
-        ("", ""), bank_rows(result.bank, result.entry), title=f"Bank v{result.entry.version} {result.bank.id}"
-    )
+    facts = tell_bank(context, result.bank, result.entry)
     for rejected in result.built.rejected:
         context.say(f"left out: {rejected.message}")
     context.say(f"report: {result.report}")
     context.emit(
         {
-            **bank_summary(result.bank, result.entry),
+            **facts,
             "session": session,
             "report": project.relative(result.report),
             "rejected": [{"file": r.path, "reason": r.reason, "message": r.message} for r in result.built.rejected],

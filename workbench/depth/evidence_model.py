@@ -238,7 +238,7 @@ class DepthModel:
     @property
     def farthest_px(self) -> float:
         """Radius beyond which there is no far side, just short of the radius at infinity."""
-        return _FARTHEST * self.psfs.radius_px(1e12)
+        return _farthest_px(self.psfs)
 
     def depth_mm(self, sigma_px: float) -> float:
         """Depth of a signed radius."""
@@ -283,7 +283,7 @@ def prepare(bank: Bank, options: EvidenceOptions, field_index: int | None = None
         radius = np.abs(rows)
     else:
         row_of, rows, radius = index - low, sigma, sigma
-    depths = _depths_of(psfs, np.minimum(sigma, _FARTHEST * psfs.radius_px(1e12)))
+    depths = _depths_of(psfs, np.minimum(sigma, _farthest_px(psfs)))
     size = (int(bank.psf.shape[2]) + 4) | 1
     error = float(np.clip(np.nanmedian(psfs.residual), 0.01, 0.2))
     lags = _all_lags(psfs, _depths_of(psfs, rows), size, error)
@@ -311,6 +311,10 @@ def _all_lags(psfs: PsfModel, depths_mm: FloatArray, size: int, error: float) ->
         part = slice(size - side, size + side - 1)
         lags[row, part, part] = _autocorrelation(psfs.psf_at(float(depth_mm), side), error)
     return lags
+
+
+def _farthest_px(psfs: PsfModel) -> float:
+    return _FARTHEST * psfs.radius_px(1e12)
 
 
 def _depths_of(psfs: PsfModel, sigma_px: FloatArray | np.float64) -> FloatArray:
