@@ -179,7 +179,7 @@ def observe(
     chosen = thinned(windows, _MOST_WINDOWS)
     pooled = pooled_periodogram(plane, chosen, model.kernel_lags.shape[1] // 2)
     expected = smeared_power(model.kernel_lags, pooled.taper_lags, size)
-    fit = fit_spectra(pooled.power, pooled.trusted, expected, factor=options.factor)
+    fit = fit_spectra(pooled.power, pooled.trusted, expected, independent=pooled.independent, factor=options.factor)
     view, photosites = View(plane, soft, clear, chosen, pooled, fit, is_light=is_light), None
     if with_photosites is not None and with_photosites.mosaic is not None and _next_to_focus(fit.log_likelihood, model):
         photosites = view_photosites(with_photosites, mask, view, model, options)
@@ -288,6 +288,7 @@ def _conclude(
 ) -> DepthEstimate:
     """From what was seen to an answer; nothing else is doubted of a region that has no single depth."""
     likelihood, views = seen.likelihood, (seen.view, seen.photosites)
+    temperature = learned.temperature * seen.view.fit.trust
     modes = find_modes(likelihood, model.row_radius_px)
     clues = compare_sides(*views, modes, model, options)
     far, near = mode_scores(clues, np.asarray(model.sides_in_reach[modes].all(axis=1)), seen.pixels, learned)
@@ -297,8 +298,8 @@ def _conclude(
         for row in modes
         if likelihood[row] > best - _REFINED_WITHIN and _narrow(likelihood, row)
     ]
-    tempered = [Refined(part.radius_px, learned.temperature * part.log_likelihood) for part in refined]
-    sigma, log_post = signed_posterior(learned.temperature * likelihood, modes, far, near, model, options, tempered)
+    tempered = [Refined(part.radius_px, temperature * part.log_likelihood) for part in refined]
+    sigma, log_post = signed_posterior(temperature * likelihood, modes, far, near, model, options, tempered)
     diagnostics = {
         "radius_px": model.row_radius_px,
         "log_likelihood": likelihood,
@@ -313,9 +314,7 @@ def _conclude(
         return estimate
     estimate = unless_halves_disagree(estimate, modes, half_odds(clues, learned), model)
     cost = negative_cost(clues)
-    estimate = unless_another_blur_fits(
-        estimate, likelihood, modes, (far, near), cost / learned.temperature, model, options
-    )
+    estimate = unless_another_blur_fits(estimate, temperature * likelihood, modes, (far, near), cost, model, options)
     estimate = unless_beyond_reach(estimate, modes, side_odds(clues, learned), model)
     estimate = unless_on_either_side(unless_negative(estimate, modes, cost, model), model)
     return unless_few_lines(estimate, seen.line_share, model)

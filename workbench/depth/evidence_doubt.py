@@ -23,8 +23,8 @@ to focus have up to 0.6."""
 _SAME_PX, _APART_PX = 1.0, 2.0
 _EITHER_SIDE_PX = 2.0
 """An interval that reaches farther than this to both sides of focus names neither."""
-_RIVAL_PX = 0.5
-"""Standard errors or not, a rival blur is known to half a pixel."""
+_RIVAL_PX = 1.0
+"""Standard errors or not, a rival blur is known to a pixel."""
 _OPPOSED = 2.5
 """Log-odds that each of two halves has for its own side, at least, to name two depths instead of one. Of 143 unmarked
 regions of one depth two pass it, of 21 unmarked ones of two mirror depths all."""
@@ -73,7 +73,7 @@ def unless_another_blur_fits(
     estimate
         What the posterior says.
     likelihood
-        float64 (D,): log-likelihood of the spectrum for each of the model's rows.
+        float64 (D,): log-likelihood of the spectrum for each of the model's rows, as the posterior weighs it.
     modes, sides
         Rows of its local maxima, and what restorations add to each on the far and on the near side.
     cost

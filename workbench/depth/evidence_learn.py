@@ -40,7 +40,7 @@ class _Sample:
     """Candidates of one generated image."""
 
     likelihood: FloatArray
-    """(M,) spectral log-likelihood of each mode, before tempering."""
+    """(M,) spectral log-likelihood of each mode, less what the texture's edges take away."""
     clues: list[Comparison]
     """Of each mode."""
     possible: NDArray[np.bool_]
@@ -155,7 +155,10 @@ def _draw(bank: Bank, model: DepthModel, options: EvidenceOptions, generator: np
     true = np.stack([at_radius & (both or sigma > 0), at_radius & (both or sigma < 0)], axis=1)
     possible = model.sides_in_reach[modes]
     error, curvature = peak_of(likelihood, radius, peak)
-    return _Sample(likelihood[modes], clues, possible, seen.pixels, true & possible, error - abs(sigma), curvature)
+    trust, error_px = seen.view.fit.trust, error - abs(sigma)
+    return _Sample(
+        trust * likelihood[modes], clues, possible, seen.pixels, true & possible, error_px, trust * curvature
+    )
 
 
 def _photograph(side: int, psf: NDArray[np.float32], generator: np.random.Generator) -> NDArray[np.float32]:

@@ -17,7 +17,7 @@ from workbench.depth.options import require
 FloatArray = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-LEARNED = "evidence_learned_2"
+LEARNED = "evidence_learned_3"
 """Name of :class:`Learned` among a bank's extras."""
 NATIVE_FINER = 2
 """Photosites a superpixel is wide."""
@@ -52,9 +52,9 @@ class EvidenceOptions:
     ambiguous_below
         With less probability than this in the best mode a region is ambiguous.
     close_log_likelihood, close_ratio
-        A blur whose radius differs by more than this ratio, and whose spectrum fits less than so much worse, makes a
-        region ambiguous whatever else speaks for the best one: a smooth texture in focus looks like a rough one behind
-        a larger blur.
+        A blur whose radius differs by more than this ratio, and whose spectrum fits less than so much worse as the
+        posterior weighs it, makes a region ambiguous whatever else speaks for the best one: a smooth texture in focus
+        looks like a rough one behind a larger blur.
     varied_px, varied_log_likelihood
         A mixture of blurs whose radii lie so far to both sides, and which explains the spectrum so much better than any
         single blur, makes a region ambiguous: its surface is slanted, or it holds several depths.
@@ -85,7 +85,7 @@ class EvidenceOptions:
     radius_step_px: float = 0.3
     side_windows: int = 9
     ambiguous_below: float = 0.95
-    close_log_likelihood: float = 12.0
+    close_log_likelihood: float = 6.0
     close_ratio: float = 1.25
     varied_px: float = 4.0
     varied_log_likelihood: float = 8.0
@@ -134,7 +134,8 @@ class Learned:
     Attributes
     ----------
     temperature
-        Factor on the spectral log-likelihood: its frequencies are neither independent nor quite as modelled.
+        Factor on the spectral log-likelihood, beside what the texture's edges take away: textures are not quite as
+        modelled.
     size_power
         Sparseness counts for the radius in proportion to this power of the number of pixels over 128 x 128.
     floor_px
@@ -147,9 +148,9 @@ class Learned:
         Per filter family: log-likelihood of a radius per unit of sparseness.
     """
 
-    temperature: float = 0.5
+    temperature: float = 1.0
     size_power: float = 0.25
-    floor_px: float = 0.04
+    floor_px: float = 0.03
     outlier: float = 0.003
     side_weights: tuple[float, ...] = (0.5, 0.2, 0.4, 0.1, 0.3, 0.2, 0.4, 0.1)
     mode_weights: tuple[float, ...] = (21.0, 7.0, 0.0, 35.0)

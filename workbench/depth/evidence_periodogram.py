@@ -21,6 +21,10 @@ from workbench.depth.evidence_windows import Window, cut_out, hann
 FloatArray = NDArray[np.float64]
 Plane = NDArray[np.float32]
 
+_COUNTS = 1.13
+"""What a pixel's worth of white noise counts. With it a full Hann window's frequencies count 0.3 each (0.26 by its own
+correlation); what is compared with log-likelihoods is set in these units."""
+
 
 @dataclass(frozen=True, slots=True)
 class Pooled:
@@ -34,11 +38,15 @@ class Pooled:
         Number of periodograms that the average is worth.
     taper_lags
         float64 (2 L + 1, 2 L + 1): autocorrelation of the tapers, 1 at zero lag, for lags up to L.
+    independent
+        Share of the frequencies that tell something of their own: a taper makes neighbours alike, a narrow one more of
+        them.
     """
 
     power: FloatArray
     averages: float
     taper_lags: FloatArray
+    independent: float
 
     @property
     def trusted(self) -> float:
@@ -85,7 +93,9 @@ def pooled_periodogram(plane: NDArray[np.float32], windows: Sequence[Window], la
     turn = 2.0 * np.pi * np.fft.fftfreq(size)
     response = 4.0 - 2.0 * np.cos(turn)[:, np.newaxis] - 2.0 * np.cos(turn[: size // 2 + 1])
     response[0, 0] = 1.0
-    return Pooled(total / response / energy, _worth(windows), np.asarray(picked, np.float64))
+    worth = _worth(windows)
+    independent = _COUNTS * effective_pixels(windows) / (worth * size**2)
+    return Pooled(total / response / energy, worth, np.asarray(picked, np.float64), independent)
 
 
 def _worth(windows: Sequence[Window]) -> float:
@@ -100,6 +110,24 @@ def _worth(windows: Sequence[Window]) -> float:
     for places in (np.array([w.row for w in windows]), np.array([w.column for w in windows])):
         share = share * far[np.clip(places[:, np.newaxis] - places, -size, size) + size] ** 2
     return float(weight.sum() ** 2 / share.sum())
+
+
+def effective_pixels(windows: Sequence[Window]) -> float:
+    """Pixels of white noise that tell as much of its power as these windows do together.
+
+    Periodograms of windows i and j covary at frequencies d apart by ``|sum(w_i w_j exp(-2 pi i d x))|^2``; over all
+    pairs and all d that adds up to ``N^2 sum(q^2)`` (Parseval), with ``q = sum_i w_i^2`` at each pixel. Their mean is
+    ``sum(q)``: as many pixels as ``sum(q)^2 / sum(q^2)``, each of weight 1, would scatter as much.
+    """
+    size = windows[0].taper.shape[0]
+    top, left = min(w.row for w in windows), min(w.column for w in windows)
+    weight = np.zeros(
+        (max(w.row for w in windows) - top + size, max(w.column for w in windows) - left + size), np.float32
+    )
+    for window in windows:
+        row, column = window.row - top, window.column - left
+        weight[row : row + size, column : column + size] += window.taper**2
+    return float(weight.sum(dtype=np.float64) ** 2 / np.square(weight).sum(dtype=np.float64))
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,9 +17,9 @@ from workbench.depth.evidence_side import Comparison
 FloatArray = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-_FINER = 8
+_FINER = 16
 """The posterior's grid is finer than the likelihood's by this factor."""
-_SOFTNESS_PX, _SOFTNESS_RANGE_PX = 0.25, {1: 3.0, NATIVE_FINER: 2.0}
+_SOFTNESS_PX, _SOFTNESS_RANGE_PX = 0.17, {1: 3.0, NATIVE_FINER: 2.0}
 """Close to focus a small blur and a texture that is itself a little soft or crisp look alike: standard error of the
 radius at focus, and the one over which it falls to 1/e (as a Gaussian), by how fine the pixels are. Measured on
 textures rendered by the simulated rig and by a ray tracer."""

@@ -120,9 +120,9 @@ def view_photosites(
     seen = pooled_periodogram(plane, windows, lags.shape[1] // 2)
     size = seen.power.shape[0]
     kept = native_luminance_power(fft.fftfreq(size)[:, np.newaxis], fft.rfftfreq(size)[np.newaxis, :])
-    pooled = Pooled(seen.power / np.maximum(kept, 1e-3), seen.averages, seen.taper_lags)
+    pooled = Pooled(seen.power / np.maximum(kept, 1e-3), seen.averages, seen.taper_lags, seen.independent)
     expected = smeared_power(lags, pooled.taper_lags, size)
-    fit = fit_spectra(pooled.power, pooled.trusted, expected,
+    fit = fit_spectra(pooled.power, pooled.trusted, expected, independent=pooled.independent,
                       factor=options.factor, steps=_NATIVE_FISHER_STEPS, band=PHOTOSITES)  # fmt: skip
     return View(plane, soft, NATIVE_FINER * clear, windows, pooled, fit, NATIVE_FINER)
 
@@ -176,8 +176,9 @@ def refine(
         sigma = radius * np.sign(model.row_sigma_px[row])
     else:
         sigma = radius
-    expected = smeared_power(model.lags_at(sigma, view.finer), view.pooled.taper_lags, view.pooled.power.shape[0])
-    fit = fit_spectra(view.pooled.power, view.pooled.trusted, expected, factor=options.factor,
+    pooled = view.pooled
+    expected = smeared_power(model.lags_at(sigma, view.finer), pooled.taper_lags, pooled.power.shape[0])
+    fit = fit_spectra(pooled.power, pooled.trusted, expected, independent=pooled.independent, factor=options.factor,
                       start=view.fit.texture(row), steps=_REFINED_FISHER_STEPS, band=view.fit.band)  # fmt: skip
     return Refined(radius, fit.log_likelihood + offset)
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
-from workbench.depth.evidence_periodogram import pooled_periodogram
+from workbench.depth.evidence_periodogram import effective_pixels, pooled_periodogram
 from workbench.depth.evidence_windows import Window, place_windows, soft_mask
 
 SHAPE = 150, 170
@@ -61,3 +61,35 @@ def test_power_and_lags_are_those_written_out(region: str, lags: int) -> None:
     power, correlation = written_out(plane, windows, lags)
     np.testing.assert_allclose(pooled.power[1:, 1:], power[1:, 1:], rtol=2e-3, atol=1e-9)
     np.testing.assert_allclose(pooled.taper_lags, correlation, atol=1e-6)
+
+
+@pytest.mark.parametrize("region", regions())
+def test_white_noise_scatters_as_that_many_pixels_would(region: str) -> None:
+    """Its power in the windows, over all frequencies, against draws of it."""
+    mask = regions()[region]
+    soft, _ = soft_mask(mask, margin_px=2.0, ramp_px=8.0)
+    windows = place_windows(mask, soft, 64, least_weight=0.1)
+    inside = [(max(w.row, 0), max(w.column, 0)) for w in windows]
+    assert inside == [(w.row, w.column) for w in windows]
+    powers = []
+    for seed in range(600):
+        noise = np.random.default_rng(seed).standard_normal(SHAPE)
+        cut = [noise[w.row : w.row + 64, w.column : w.column + 64] for w in windows]
+        powers.append(sum(float(((w.taper * part) ** 2).sum()) for w, part in zip(windows, cut, strict=True)))
+    scattered = 2.0 * np.mean(powers) ** 2 / np.var(powers)  # of n squared normal numbers: twice the mean squared / n
+    assert scattered == pytest.approx(effective_pixels(windows), rel=0.2)
+
+
+def test_frequencies_of_full_windows_count_alike_however_many_and_those_of_cut_ones_for_less() -> None:
+    plane = np.random.default_rng(1).standard_normal((256, 256)).astype(np.float32)
+
+    def share(mask: np.ndarray, ramp_px: float) -> float:
+        soft, _ = soft_mask(mask, margin_px=0.0, ramp_px=ramp_px)
+        return pooled_periodogram(plane, place_windows(mask, soft, 64, least_weight=0.1), 20).independent
+
+    whole, one = np.ones((256, 256), np.bool_), np.zeros((256, 256), np.bool_)
+    one[:64, :64] = True
+    blob = np.hypot(*np.mgrid[-32:224, -32:224]) < 20
+    assert share(one, 1e-6) == pytest.approx(0.3, rel=0.02)
+    assert share(whole, 1e-6) == pytest.approx(0.3, rel=0.1)
+    assert share(blob, 12.0) < 0.15

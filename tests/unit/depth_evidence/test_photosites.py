@@ -124,7 +124,7 @@ def seen(log_likelihood: list[float]) -> View:
     """A view of which nothing but the fits' likelihood counts."""
     values, empty = np.array(log_likelihood), np.zeros(0, np.float32)
     fit = SpectralFit(values, 0.0, np.zeros((values.size, 0)), np.zeros(values.size), ())
-    return View(empty, empty, empty, [], Pooled(np.zeros((0, 0)), 1.0, np.zeros((0, 0))), fit)
+    return View(empty, empty, empty, [], Pooled(np.zeros((0, 0)), 1.0, np.zeros((0, 0)), 0.3), fit)
 
 
 def test_photosites_give_the_shape_next_to_focus_and_superpixels_its_level() -> None:

@@ -83,4 +83,5 @@ def test_ridges_are_kept_out_of_textures_without_a_direction() -> None:
     assert len(with_axis.ridges) == 2
     assert np.abs(with_axis.coefficients[0, -2:]).max() > 0.1
     assert without.ridges == ()
+    assert without.trust == 1.0 > with_axis.trust > 0.5
     assert without.coefficients.shape[1] == with_axis.coefficients.shape[1] - 2
