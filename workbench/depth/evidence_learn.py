@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import fft
 from scipy.optimize import minimize
 from scipy.special import logsumexp
 
@@ -22,7 +21,7 @@ from workbench.depth.evidence import observe
 from workbench.depth.evidence_model import LEARNED, DepthModel, EvidenceOptions, Learned, prepare
 from workbench.depth.evidence_posterior import find_modes, mode_scores, peak_of
 from workbench.depth.evidence_side import FAMILIES, SPARSENESS, Comparison
-from workbench.depth.evidence_textures import random_texture
+from workbench.depth.evidence_textures import blurred_texture
 from workbench.depth.evidence_view import compare_sides
 
 FloatArray = NDArray[np.float64]
@@ -163,12 +162,7 @@ def _draw(bank: Bank, model: DepthModel, options: EvidenceOptions, generator: np
 
 def _photograph(side: int, psf: NDArray[np.float32], generator: np.random.Generator) -> NDArray[np.float32]:
     """A generated texture blurred by a PSF, with shot and white noise of random strength; float32 (side, side)."""
-    half = psf.shape[0] // 2
-    whole = side + 2 * half
-    texture = random_texture(whole, generator)
-    size = fft.next_fast_len(whole + 2 * half, real=True)
-    blurred = fft.irfft2(fft.rfft2(texture, s=(size, size)) * fft.rfft2(psf, s=(size, size)), s=(size, size))
-    image = blurred[2 * half : 2 * half + side, 2 * half : 2 * half + side]
+    image = blurred_texture(side, psf, generator)
     shot, white = np.exp(generator.uniform(np.log([1e-3, 3e-4]), np.log([6e-3, 4e-3])))
     deviation = np.hypot(white, shot * np.sqrt(np.maximum(image, 0.0)))
     return np.asarray(image + deviation * generator.standard_normal(image.shape), np.float32)

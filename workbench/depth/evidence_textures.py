@@ -37,6 +37,15 @@ def random_texture(side: int, generator: Generator) -> Float32:
     return np.asarray(0.45 + texture * (contrast / max(spread, 1e-6)) + grain + shading, np.float32)
 
 
+def blurred_texture(side: int, psf: Float32, generator: Generator) -> Float32:
+    """A :func:`random_texture` blurred by a PSF (float32 (K, K), K odd), float32 (side, side); no noise."""
+    half = psf.shape[0] // 2
+    texture = random_texture(side + 2 * half, generator)
+    size = fft.next_fast_len(side + 4 * half, real=True)
+    blurred = fft.irfft2(fft.rfft2(texture, s=(size, size)) * fft.rfft2(psf, s=(size, size)), s=(size, size))
+    return np.asarray(blurred[2 * half : 2 * half + side, 2 * half : 2 * half + side], np.float32)
+
+
 def _grain(side: int, generator: Generator, fall: float) -> Float32:
     modulus = np.hypot(fft.fftfreq(side)[:, np.newaxis], fft.rfftfreq(side)[np.newaxis, :])
     spectrum = fft.rfft2(generator.standard_normal((side, side))) / np.maximum(modulus, 0.5 / side) ** fall

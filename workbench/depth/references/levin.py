@@ -20,14 +20,13 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import fft
 from scipy.optimize import minimize
 from scipy.special import logsumexp
 
 from calibration.bank import Bank
 from calibration.image import LinearImage
 from workbench.depth.estimate import DepthEstimate
-from workbench.depth.evidence_textures import random_texture
+from workbench.depth.evidence_textures import blurred_texture
 from workbench.depth.options import require
 from workbench.depth.references.from_cost import estimate_from_cost
 from workbench.depth.references.sparse_deconvolution import SparsePrior, sparse_deconvolve
@@ -216,11 +215,7 @@ def _stiffness(bank: Bank, options: LevinOptions) -> FloatArray:
 
 def _training_picture(psf: FloatImage, side: int, generator: np.random.Generator) -> FloatImage:
     """A generated texture blurred by a PSF, with noise of random strength, float32 (side, side)."""
-    half = psf.shape[0] // 2
-    texture = random_texture(side + 2 * half, generator)
-    size = texture.shape[0] + 2 * half
-    blurred = fft.irfft2(fft.rfft2(texture, s=(size, size)) * fft.rfft2(psf, s=(size, size)), s=(size, size))
-    picture = blurred[2 * half : 2 * half + side, 2 * half : 2 * half + side]
+    picture = blurred_texture(side, psf, generator)
     noise = np.exp(generator.uniform(np.log(1e-3), np.log(6e-3)))
     return _to_unit(np.asarray(picture + noise * generator.standard_normal(picture.shape), np.float32), np.s_[:, :])
 
