@@ -68,7 +68,7 @@ def side_likelihoods(
         own = [windows[int(cell)] for cell in cells]
         pooled = pooled_periodogram(plane, own[:: -(-len(own) // _SPECTRUM_WINDOWS)], model.kernel_lags.shape[1] // 2)
         expected = smeared_power(model.kernel_lags[row : row + 1], pooled.taper_lags, pooled.power.shape[0])
-        fit = fit_spectra(pooled.power, pooled.trusted, expected, independent=pooled.independent)
+        fit = fit_spectra(pooled.power, pooled.trusted, expected, independent_share=pooled.independent_share)
         psfs = [model.psf_at(sign * radius) for sign in (1.0, -1.0)]
         favour = favour_by_window(plane, everywhere, own, psfs, fit.texture(0))
         odds = overlap * favour @ learned.favour_weights

@@ -8,8 +8,9 @@
 3. At each of the likelihood's modes, restorations with both sides' PSFs are judged by how sparse they are, and by how
    much of their light is negative (:mod:`~workbench.depth.evidence_side`): the true blur, on its true side, gives the
    sparsest, and needs none.
-4. Both join in one posterior over the signed radius, which is linear in 1/depth. It is tempered and widened by what was
-   learned from the bank, by the lens fit's standard errors, and by a share for what no model foresees.
+4. Both join in one posterior over the signed radius, which is linear in 1/depth. The likelihood is weighed by the
+   texture's ridges and by what was learned from the bank, the posterior widened by the lens fit's standard errors, and
+   by a share for what no model foresees.
 """
 
 from __future__ import annotations
@@ -74,6 +75,8 @@ _RAMP_PX = 12.0
 _MOST_WINDOWS = 100
 """Of a large region; averages of more are not trusted more."""
 _REFINED_WITHIN, _NARROW = 30.0, 5.0
+"""Modes within so much log-likelihood of the best, unweighted as in all that comes before the posterior, are looked at
+more finely where it falls by so much to the next rows."""
 _NATIVE_WITHIN = 70.0
 """Photosites are looked at where superpixels leave a blur next to focus within so much log-likelihood of the best."""
 _ENOUGH = 0.7
@@ -179,7 +182,9 @@ def observe(
     chosen = thinned(windows, _MOST_WINDOWS)
     pooled = pooled_periodogram(plane, chosen, model.kernel_lags.shape[1] // 2)
     expected = smeared_power(model.kernel_lags, pooled.taper_lags, size)
-    fit = fit_spectra(pooled.power, pooled.trusted, expected, independent=pooled.independent, factor=options.factor)
+    fit = fit_spectra(
+        pooled.power, pooled.trusted, expected, independent_share=pooled.independent_share, factor=options.factor
+    )
     view, photosites = View(plane, soft, clear, chosen, pooled, fit, is_light=is_light), None
     if with_photosites is not None and with_photosites.mosaic is not None and _next_to_focus(fit.log_likelihood, model):
         photosites = view_photosites(with_photosites, mask, view, model, options)
@@ -288,7 +293,7 @@ def _conclude(
 ) -> DepthEstimate:
     """From what was seen to an answer; nothing else is doubted of a region that has no single depth."""
     likelihood, views = seen.likelihood, (seen.view, seen.photosites)
-    temperature = learned.temperature * seen.view.fit.trust
+    weight = learned.spectral_weight * seen.view.fit.likelihood_weight
     modes = find_modes(likelihood, model.row_radius_px)
     clues = compare_sides(*views, modes, model, options)
     far, near = mode_scores(clues, np.asarray(model.sides_in_reach[modes].all(axis=1)), seen.pixels, learned)
@@ -298,8 +303,8 @@ def _conclude(
         for row in modes
         if likelihood[row] > best - _REFINED_WITHIN and _narrow(likelihood, row)
     ]
-    tempered = [Refined(part.radius_px, temperature * part.log_likelihood) for part in refined]
-    sigma, log_post = signed_posterior(temperature * likelihood, modes, far, near, model, options, tempered)
+    tempered = [Refined(part.radius_px, weight * part.log_likelihood) for part in refined]
+    sigma, log_post = signed_posterior(weight * likelihood, modes, far, near, model, options, tempered)
     diagnostics = {
         "radius_px": model.row_radius_px,
         "log_likelihood": likelihood,
@@ -314,7 +319,7 @@ def _conclude(
         return estimate
     estimate = unless_halves_disagree(estimate, modes, half_odds(clues, learned), model)
     cost = negative_cost(clues)
-    estimate = unless_another_blur_fits(estimate, temperature * likelihood, modes, (far, near), cost, model, options)
+    estimate = unless_another_blur_fits(estimate, weight * likelihood, modes, (far, near), cost, model, options)
     estimate = unless_beyond_reach(estimate, modes, side_odds(clues, learned), model)
     estimate = unless_on_either_side(unless_negative(estimate, modes, cost, model), model)
     return unless_few_lines(estimate, seen.line_share, model)

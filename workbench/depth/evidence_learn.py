@@ -39,7 +39,7 @@ class _Sample:
     """Candidates of one generated image."""
 
     likelihood: FloatArray
-    """(M,) spectral log-likelihood of each mode, less what the texture's edges take away."""
+    """(M,) spectral log-likelihood of each mode, weighed by the texture's ridges."""
     clues: list[Comparison]
     """Of each mode."""
     possible: NDArray[np.bool_]
@@ -50,7 +50,7 @@ class _Sample:
     error_px: float
     """Of the spectral likelihood's peak next to the true radius; NaN where there is none."""
     curvature: float
-    """Of the log-likelihood there, per px^2."""
+    """Of the log-likelihood there, weighed likewise, per px^2."""
 
 
 def learn(bank: Bank, seed: int = 0, samples: int = SAMPLES) -> dict[str, NDArray[np.float64]]:
@@ -90,7 +90,7 @@ def fit_weights(samples: list[_Sample]) -> Learned:
         sides = 1 + len(SPARSENESS)
         return replace(
             start,
-            temperature=float(start.temperature * np.exp(change[0])),
+            spectral_weight=float(start.spectral_weight * np.exp(change[0])),
             side_weights=tuple((np.array(start.side_weights) + change[1:sides]).tolist()),
             mode_weights=tuple((np.array(start.mode_weights) + change[sides:]).tolist()),
         )
@@ -106,23 +106,23 @@ def fit_weights(samples: list[_Sample]) -> Learned:
         return lost / max(len(samples), 1) + _SHRINK * float(p @ p)
 
     best = unpack(minimize(loss, np.zeros(units.size), method="L-BFGS-B", options={"maxiter": 40}).x)
-    return replace(best, floor_px=_floor(samples, best.temperature, start.floor_px))
+    return replace(best, floor_px=_floor(samples, best.spectral_weight, start.floor_px))
 
 
 def candidate_scores(sample: _Sample, learned: Learned) -> FloatArray:
     """Log-likelihood of each candidate, float64 (M, 2) for far and near; -inf where the bank doesn't reach."""
     far, near = mode_scores(sample.clues, np.asarray(sample.possible.all(axis=1)), sample.pixels, learned)
-    scores = learned.temperature * sample.likelihood[:, np.newaxis] + np.stack([far, near], axis=1)
+    scores = learned.spectral_weight * sample.likelihood[:, np.newaxis] + np.stack([far, near], axis=1)
     return np.where(sample.possible, scores, -np.inf)
 
 
-def _floor(samples: list[_Sample], temperature: float, least: float) -> float:
+def _floor(samples: list[_Sample], weight: float, least: float) -> float:
     """Standard error to add in quadrature so that 95 % of the errors are within 1.96 standard errors."""
     usable = [s for s in samples if np.isfinite(s.error_px) and s.curvature > 0 and abs(s.error_px) < 1.0]
     if len(usable) < 20:
         return least
     error = np.array([abs(s.error_px) for s in usable])
-    variance = np.array([1.0 / (temperature * s.curvature) for s in usable])
+    variance = np.array([1.0 / (weight * s.curvature) for s in usable])
     needed = np.sqrt(np.maximum((error / 1.96) ** 2 - variance, 0.0))
     return float(np.clip(np.quantile(needed, 0.95), least, 0.5))
 
@@ -153,11 +153,9 @@ def _draw(bank: Bank, model: DepthModel, options: EvidenceOptions, generator: np
     both = abs(sigma) < tolerance  # at focus either side is right
     true = np.stack([at_radius & (both or sigma > 0), at_radius & (both or sigma < 0)], axis=1)
     possible = model.sides_in_reach[modes]
-    error, curvature = peak_of(likelihood, radius, peak)
-    trust, error_px = seen.view.fit.trust, error - abs(sigma)
-    return _Sample(
-        trust * likelihood[modes], clues, possible, seen.pixels, true & possible, error_px, trust * curvature
-    )
+    weighed = seen.view.fit.likelihood_weight * likelihood
+    error, curvature = peak_of(weighed, radius, peak)
+    return _Sample(weighed[modes], clues, possible, seen.pixels, true & possible, error - abs(sigma), curvature)
 
 
 def _photograph(side: int, psf: NDArray[np.float32], generator: np.random.Generator) -> NDArray[np.float32]:

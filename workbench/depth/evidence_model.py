@@ -133,9 +133,9 @@ class Learned:
 
     Attributes
     ----------
-    temperature
-        Factor on the spectral log-likelihood, beside what the texture's edges take away: textures are not quite as
-        modelled.
+    spectral_weight
+        Power that the spectrum's likelihood is raised to, beside that by the texture's ridges: textures are not quite
+        as modelled.
     size_power
         Sparseness counts for the radius in proportion to this power of the number of pixels over 128 x 128.
     floor_px
@@ -148,7 +148,7 @@ class Learned:
         Per filter family: log-likelihood of a radius per unit of sparseness.
     """
 
-    temperature: float = 1.0
+    spectral_weight: float = 1.0
     size_power: float = 0.25
     floor_px: float = 0.04
     outlier: float = 0.003
@@ -162,16 +162,16 @@ class Learned:
 
     def as_array(self) -> FloatArray:
         """Plain numbers, for a bank's extras."""
-        return np.array([self.temperature, self.size_power, self.floor_px, self.outlier,
+        return np.array([self.spectral_weight, self.size_power, self.floor_px, self.outlier,
                          *self.side_weights, *self.mode_weights])  # fmt: skip
 
     @classmethod
     def from_array(cls, values: NDArray[np.floating]) -> Learned:
         """Inverse of :meth:`as_array`."""
         numbers, statistics = [float(v) for v in values], len(SPARSENESS)
-        temperature, size_power, floor_px, outlier = numbers[:4]
+        spectral_weight, size_power, floor_px, outlier = numbers[:4]
         weights = tuple(numbers[4 : 4 + statistics]), tuple(numbers[4 + statistics :])
-        return cls(temperature, size_power, floor_px, outlier, *weights)
+        return cls(spectral_weight, size_power, floor_px, outlier, *weights)
 
 
 @dataclass(frozen=True, slots=True)

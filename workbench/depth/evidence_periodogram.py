@@ -38,7 +38,7 @@ class Pooled:
         Number of periodograms that the average is worth.
     taper_lags
         float64 (2 L + 1, 2 L + 1): autocorrelation of the tapers, 1 at zero lag, for lags up to L.
-    independent
+    independent_share
         Share of the frequencies that tell something of their own: a taper makes neighbours alike, a narrow one more of
         them.
     """
@@ -46,7 +46,7 @@ class Pooled:
     power: FloatArray
     averages: float
     taper_lags: FloatArray
-    independent: float
+    independent_share: float
 
     @property
     def trusted(self) -> float:
@@ -94,8 +94,8 @@ def pooled_periodogram(plane: NDArray[np.float32], windows: Sequence[Window], la
     response = 4.0 - 2.0 * np.cos(turn)[:, np.newaxis] - 2.0 * np.cos(turn[: size // 2 + 1])
     response[0, 0] = 1.0
     worth = _worth(windows)
-    independent = _COUNTS * effective_pixels(windows) / (worth * size**2)
-    return Pooled(total / response / energy, worth, np.asarray(picked, np.float64), independent)
+    share = _COUNTS * effective_pixels(windows) / (worth * size**2)
+    return Pooled(total / response / energy, worth, np.asarray(picked, np.float64), share)
 
 
 def _worth(windows: Sequence[Window]) -> float:
@@ -113,11 +113,12 @@ def _worth(windows: Sequence[Window]) -> float:
 
 
 def effective_pixels(windows: Sequence[Window]) -> float:
-    """Pixels of white noise that tell as much of its power as these windows do together.
+    """Effective sample size of some tapered windows together: pixels of white noise that tell its power as well.
 
-    Periodograms of windows i and j covary at frequencies d apart by ``|sum(w_i w_j exp(-2 pi i d x))|^2``; over all
-    pairs and all d that adds up to ``N^2 sum(q^2)`` (Parseval), with ``q = sum_i w_i^2`` at each pixel. Their mean is
-    ``sum(q)``: as many pixels as ``sum(q)^2 / sum(q^2)``, each of weight 1, would scatter as much.
+    The total power is a weighted sum of the pixels' squares, of weight ``q = sum_i w_i^2`` where w_i are the tapers; it
+    is worth ``sum(q)^2 / sum(q^2)`` of equal weight (its equivalent degrees of freedom, Blackman and Tukey 1958). The
+    covariances of N x N periodograms i and j at frequencies d apart, ``|sum(w_i w_j exp(-2 pi i d x))|^2``, say the
+    same: over all pairs and all d they add up to ``N^2 sum(q^2)`` (Parseval).
     """
     size = windows[0].taper.shape[0]
     top, left = min(w.row for w in windows), min(w.column for w in windows)

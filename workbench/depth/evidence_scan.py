@@ -90,13 +90,13 @@ def _normal(distance: FloatArray, spread: float) -> FloatArray:
     return np.asarray(weight / weight.sum(axis=0), np.float64)
 
 
-def noise_alone(log_power: Float32, table: Float32, independent: float) -> float:
+def noise_alone(log_power: Float32, table: Float32, independent_share: float) -> float:
     """Log-likelihood of a periodogram, its logarithm float32 (F,), without any texture."""
     column = table[:, 0].astype(np.float64)
     grid = _LOW + _STEP * np.arange(_CELLS)
     level = np.log(np.mean(np.exp(log_power.astype(np.float64))))
     trials = [float(np.interp(log_power - level - shift, grid, column).sum()) for shift in (-0.4, -0.2, 0.0, 0.2)]
-    return independent * max(trials)
+    return independent_share * max(trials)
 
 
 @compiled
@@ -110,7 +110,7 @@ def scan_blurs(
     start_noise: float,
     prior_noise: float,
     steps: int,
-    independent: float,
+    independent_share: float,
     table: Float32,
     info_ss: Float32,
     info_sn: Float32,
@@ -134,8 +134,8 @@ def scan_blurs(
         Log noise expected beforehand.
     steps
         Fisher scoring steps for each blur; more where they haven't settled.
-    independent
-        The frequencies' log-likelihood is multiplied by this share of them.
+    independent_share
+        The sum over the frequencies is multiplied by this.
     table, info_ss, info_sn, info_nn
         :func:`likelihood_tables`.
 
@@ -155,7 +155,7 @@ def scan_blurs(
     for d in range(blurs):
         taken, wanted, halved, best = 0, steps, 0, -np.inf
         while True:
-            total = independent * _terms(
+            total = independent_share * _terms(
                 log_power, log_expected[d], columns, theta, log_noise, taken < wanted,
                 flat, info_ss, info_sn, info_nn, gradient, hessian, work,
             )  # fmt: skip
@@ -180,10 +180,10 @@ def scan_blurs(
                 wanted += 2
                 continue
             kept[:], kept_noise, best = theta, log_noise, total
-            gradient *= independent
+            gradient *= independent_share
             gradient[:p] += towards
             gradient[p] -= 0.5 * (log_noise - prior_noise)
-            hessian *= independent
+            hessian *= independent_share
             hessian[p, p] += 0.5
             for j in range(p):
                 for k in range(j + 1):

@@ -117,8 +117,11 @@ class SpectralFit:
     band: Band = SUPERPIXELS
 
     @property
-    def trust(self) -> float:
-        """Factor on the log-likelihood: a texture with edges scatters more about S than one without."""
+    def likelihood_weight(self) -> float:
+        """Power that the likelihood is raised to: a texture with ridges scatters more about S than one without.
+
+        All fits of a region are weighed by that of its superpixels, so that their levels compare.
+        """
         return float(np.exp(-_LESS_PER_RIDGE * len(self.ridges)))
 
     def texture(self, row: int) -> TextureSpectrum:
@@ -207,7 +210,7 @@ def fit_spectra(
     averages: float,
     expected: Float32,
     *,
-    independent: float = 0.3,
+    independent_share: float,
     factor: TextureFactor | None = None,
     start: TextureSpectrum | None = None,
     ridges: tuple[float, ...] | None = None,
@@ -225,9 +228,8 @@ def fit_spectra(
     expected
         float32 (D, N, N // 2 + 1): the blurs' smeared squared transfer functions, in an order in which neighbours are
         alike (each fit starts from the last).
-    independent
-        Neighbouring frequencies of a tapered window are not independent; the log-likelihood is multiplied by this share
-        of them. The default is that of full Hann windows.
+    independent_share
+        Neighbouring frequencies of a tapered window are not independent: the sum over them is multiplied by this.
     factor
         The texture's factor per frequency.
     start
@@ -258,15 +260,15 @@ def fit_spectra(
             seen, target = terms[usable], log_power[usable] - log_expected[0, usable]
             first = np.linalg.solve(precision + seen.T @ seen + 1e-6 * np.eye(len(pull)), pull + seen.T @ target)
             _, warm, warm_noise = scan_blurs(
-                log_power, log_expected[:1], *arguments, first, noise, noise, 12, independent, *tables
+                log_power, log_expected[:1], *arguments, first, noise, noise, 12, independent_share, *tables
             )
             begin = warm[0], float(warm_noise[0])
         else:
             begin = start.coefficients, start.log_noise
         likelihood, coefficients, log_noise = scan_blurs(
-            log_power, log_expected, *arguments, *begin, noise, steps, independent, *tables
+            log_power, log_expected, *arguments, *begin, noise, steps, independent_share, *tables
         )
-        null = noise_alone(log_power, tables[0], independent)
+        null = noise_alone(log_power, tables[0], independent_share)
         fit = SpectralFit(likelihood, null, coefficients, log_noise, ridges, band)
         return fit, terms @ coefficients[int(likelihood.argmax())]
 

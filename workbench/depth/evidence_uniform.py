@@ -59,8 +59,8 @@ def mixture_gain(
     mixtures = mixed_power(expected, model.row_radius_px, options.varied_px)
     if not len(mixtures):  # the bank holds no such range of radii
         return 0.0
-    fit = fit_spectra(pooled.power, pooled.trusted, mixtures,
-                      independent=pooled.independent, factor=options.factor, ridges=single.ridges)  # fmt: skip
+    fit = fit_spectra(pooled.power, pooled.trusted, mixtures, independent_share=pooled.independent_share,
+                      factor=options.factor, ridges=single.ridges)  # fmt: skip
     return float(fit.log_likelihood.max() - single.log_likelihood.max())
 
 
@@ -106,7 +106,9 @@ def fit_parts(
         pooled = pooled_periodogram(plane, own, model.kernel_lags.shape[1] // 2)
         expected = smeared_power(model.kernel_lags[_ROWS], pooled.taper_lags, pooled.power.shape[0])
         averages = min(_MOST_AVERAGES, pooled.trusted)
-        fit = fit_spectra(pooled.power, averages, expected, independent=pooled.independent, factor=options.factor)
+        fit = fit_spectra(
+            pooled.power, averages, expected, independent_share=pooled.independent_share, factor=options.factor
+        )
         parts.append(Part(own, fit))
     return parts
 
@@ -146,7 +148,7 @@ def read_parts(
 
 def _read(part: Part, view: View, model: DepthModel, learned: Learned, options: EvidenceOptions) -> Reading:
     radius = np.abs(model.row_radius_px[_ROWS])
-    likelihood = learned.temperature * part.fit.trust * part.fit.log_likelihood
+    likelihood = learned.spectral_weight * part.fit.likelihood_weight * part.fit.log_likelihood
     best = int(likelihood.argmax())
     centre = peak_of(likelihood, radius, best)[0]
     centre = float(radius[best]) if np.isnan(centre) else centre

@@ -120,9 +120,9 @@ def view_photosites(
     seen = pooled_periodogram(plane, windows, lags.shape[1] // 2)
     size = seen.power.shape[0]
     kept = native_luminance_power(fft.fftfreq(size)[:, np.newaxis], fft.rfftfreq(size)[np.newaxis, :])
-    pooled = Pooled(seen.power / np.maximum(kept, 1e-3), seen.averages, seen.taper_lags, seen.independent)
+    pooled = replace(seen, power=seen.power / np.maximum(kept, 1e-3))
     expected = smeared_power(lags, pooled.taper_lags, size)
-    fit = fit_spectra(pooled.power, pooled.trusted, expected, independent=pooled.independent,
+    fit = fit_spectra(pooled.power, pooled.trusted, expected, independent_share=pooled.independent_share,
                       factor=options.factor, steps=_NATIVE_FISHER_STEPS, band=PHOTOSITES)  # fmt: skip
     return View(plane, soft, NATIVE_FINER * clear, windows, pooled, fit, NATIVE_FINER)
 
@@ -178,8 +178,9 @@ def refine(
         sigma = radius
     pooled = view.pooled
     expected = smeared_power(model.lags_at(sigma, view.finer), pooled.taper_lags, pooled.power.shape[0])
-    fit = fit_spectra(pooled.power, pooled.trusted, expected, independent=pooled.independent, factor=options.factor,
-                      start=view.fit.texture(row), steps=_REFINED_FISHER_STEPS, band=view.fit.band)  # fmt: skip
+    fit = fit_spectra(pooled.power, pooled.trusted, expected, independent_share=pooled.independent_share,
+                      factor=options.factor, start=view.fit.texture(row),
+                      steps=_REFINED_FISHER_STEPS, band=view.fit.band)  # fmt: skip
     return Refined(radius, fit.log_likelihood + offset)
 
 

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
 
-from workbench.depth.evidence_spectrum import SUPERPIXELS, fit_spectra, frequencies
+from workbench.depth import evidence_spectrum
+from workbench.depth.evidence_spectrum import SUPERPIXELS, frequencies
 
 SIZE = 128
+fit_spectra = partial(evidence_spectrum.fit_spectra, independent_share=0.3)
 
 
 def blurs(count: int) -> np.ndarray:
@@ -83,5 +86,5 @@ def test_ridges_are_kept_out_of_textures_without_a_direction() -> None:
     assert len(with_axis.ridges) == 2
     assert np.abs(with_axis.coefficients[0, -2:]).max() > 0.1
     assert without.ridges == ()
-    assert without.trust == 1.0 > with_axis.trust > 0.5
+    assert without.likelihood_weight == 1.0 > with_axis.likelihood_weight > 0.5
     assert without.coefficients.shape[1] == with_axis.coefficients.shape[1] - 2
