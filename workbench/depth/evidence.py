@@ -303,8 +303,9 @@ def _conclude(
         for row in modes
         if likelihood[row] > best - _REFINED_WITHIN and _narrow(likelihood, row)
     ]
-    tempered = [Refined(part.radius_px, weight * part.log_likelihood) for part in refined]
-    sigma, log_post = signed_posterior(weight * likelihood, modes, far, near, model, options, tempered)
+    weighed = weight * likelihood
+    finely = [Refined(part.radius_px, weight * part.log_likelihood) for part in refined]
+    sigma, log_post = signed_posterior(weighed, modes, far, near, model, options, finely)
     diagnostics = {
         "radius_px": model.row_radius_px,
         "log_likelihood": likelihood,
@@ -319,7 +320,7 @@ def _conclude(
         return estimate
     estimate = unless_halves_disagree(estimate, modes, half_odds(clues, learned), model)
     cost = negative_cost(clues)
-    estimate = unless_another_blur_fits(estimate, weight * likelihood, modes, (far, near), cost, model, options)
+    estimate = unless_another_blur_fits(estimate, weighed, modes, (far, near), cost, model, options)
     estimate = unless_beyond_reach(estimate, modes, side_odds(clues, learned), model)
     estimate = unless_on_either_side(unless_negative(estimate, modes, cost, model), model)
     return unless_few_lines(estimate, seen.line_share, model)
