@@ -131,13 +131,13 @@ def _cell_windows(
 def _cell_likelihoods(plane: NDArray[np.float32], windows: list[Window], model: DepthModel, workers: int) -> FloatArray:
     """Log-likelihood of each radius in each window, float64 (cells, R)."""
     lags, size = model.kernel_lags.shape[1] // 2, windows[0].taper.shape[0]
-    tapers = pooled_periodogram(plane, windows[:1], lags)  # the same for all of them
-    expected = _low_half(smeared_power(model.kernel_lags, tapers.taper_lags, size))
+    taper_lags = pooled_periodogram(plane, windows[:1], lags).taper_lags  # the same for all of them
+    expected = _low_half(smeared_power(model.kernel_lags, taper_lags, size))
 
     def of_window(window: Window) -> FloatArray:
-        power = pooled_periodogram(plane, [window], lags).power
-        low = _low_half(power[np.newaxis])[0]
-        return fit_spectra(low, 1.0, expected, independent_share=tapers.independent_share).log_likelihood
+        pooled = pooled_periodogram(plane, [window], lags)
+        low = _low_half(pooled.power[np.newaxis])[0]
+        return fit_spectra(low, pooled.trusted, expected, independent_share=pooled.independent_share).log_likelihood
 
     return np.stack(each(of_window, windows, workers))
 

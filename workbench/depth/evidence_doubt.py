@@ -104,9 +104,7 @@ def unless_another_blur_fits(
             rivals += open_sides(float(radius[row]), odds, model.sides_in_reach[row], model, options)
     if not rivals:
         return estimate
-    held = model.depth_within_mm(np.add.outer(rivals, (-_RIVAL_PX, _RIVAL_PX)))
-    low_mm, high_mm = estimate.interval_mm
-    wider = replace(estimate, interval_mm=(min(low_mm, float(held.min())), max(high_mm, float(held.max()))))
+    wider = _holding(estimate, np.add.outer(rivals, (-_RIVAL_PX, _RIVAL_PX)), model)
     return doubted(wider, f"its spectrum fits the blur of {model.depth_mm(rivals[0]) / 10:.0f} cm nearly as well")
 
 
@@ -177,9 +175,7 @@ def unless_negative(
     if _cost_of(estimate, modes, cost, model) < _IMPOSSIBLE:
         return estimate
     radius = abs(model.psfs.radius_px(estimate.depth_mm))
-    near, far = (float(depth_mm) for depth_mm in model.depth_within_mm(np.array([-radius, radius])))
-    interval = min(near, estimate.interval_mm[0]), max(far, estimate.interval_mm[1])
-    held = replace(estimate, interval_mm=interval)
+    held = _holding(estimate, np.array([-radius, radius]), model)
     if estimate.status != "ok":
         return held
     return doubted(held, "its light would have to be negative: its blur is smaller, on its other side, or not one")
@@ -236,6 +232,13 @@ def _nearest_mode(estimate: DepthEstimate, modes: Sequence[int], model: DepthMod
     return int(np.abs(np.abs(model.row_radius_px[list(modes)]) - radius).argmin())
 
 
+def _holding(estimate: DepthEstimate, sigma_px: FloatArray, model: DepthModel) -> DepthEstimate:
+    """The same estimate, its interval wide enough for these signed radii, as far as the bank's planes reach."""
+    low_mm, high_mm = estimate.interval_mm
+    depths_mm = model.depth_within_mm(sigma_px)
+    return replace(estimate, interval_mm=(min(low_mm, float(depths_mm.min())), max(high_mm, float(depths_mm.max()))))
+
+
 def _with_mirrored(estimate: DepthEstimate, model: DepthModel) -> tuple[float, float]:
     """An interval that holds the estimate's and its mirror image beyond focus."""
     mirrored = [model.depth_mm(min(-model.psfs.radius_px(end), model.farthest_px)) for end in estimate.interval_mm]
@@ -266,9 +269,7 @@ def unless_few_lines(estimate: DepthEstimate, line_share: float, model: DepthMod
     radius = model.psfs.radius_px(estimate.depth_mm)
     if line_share <= _FEW_LINES or abs(radius) > _NEXT_TO_FOCUS_PX:
         return estimate
-    held = model.depth_within_mm(np.array([-_NEXT_TO_FOCUS_PX, _NEXT_TO_FOCUS_PX]))
-    low_mm, high_mm = estimate.interval_mm
-    wider = replace(estimate, interval_mm=(min(low_mm, float(held.min())), max(high_mm, float(held.max()))))
+    wider = _holding(estimate, np.array([-_NEXT_TO_FOCUS_PX, _NEXT_TO_FOCUS_PX]), model)
     if estimate.status != "ok":
         return wider
     return doubted(wider, "a few spatial frequencies hold its texture, and every small blur explains them")
