@@ -44,6 +44,11 @@ class MeasureOptions:
     """How regions are found: by colour and blur, or by colour alone (as published)."""
     srm_q: float = 32.0
 
+    @property
+    def drawn(self) -> bool:
+        """Whether the operator says where regions are; otherwise they are found in the photograph."""
+        return bool(self.roi or self.labels or self.whole)
+
 
 MOST_REGIONS = 65535
 """What the 16-bit label image that a measurement writes can tell apart."""
@@ -166,7 +171,9 @@ def measure(path: Path, bank: Bank, bank_ref: str, options: MeasureOptions) -> M
     image = develop_photograph(path, bank)
     labels = find_regions(image, bank, options)
     workers = min(usable_processors(), _MOST_AT_ONCE)
-    estimates = estimate_depths(image, bank, labels, options.method, dict(options.method_options), workers=workers)
+    estimates = estimate_depths(
+        image, bank, labels, options.method, dict(options.method_options), workers=workers, found=not options.drawn
+    )
     return Measurement(
         image=image,
         image_name=str(path),

@@ -37,9 +37,9 @@ from workbench.depth.evidence_expected import smeared_power
 from workbench.depth.evidence_model import DepthModel, EvidenceOptions, Learned, learned_of, prepare
 from workbench.depth.evidence_periodogram import pooled_periodogram
 from workbench.depth.evidence_posterior import (
-    Refined,
     find_modes,
     half_odds,
+    least_error_px,
     mode_scores,
     negative_cost,
     side_odds,
@@ -47,7 +47,7 @@ from workbench.depth.evidence_posterior import (
     summarise,
 )
 from workbench.depth.evidence_spectrum import SpectralFit, fit_spectra, frequencies
-from workbench.depth.evidence_uniform import Part, fit_parts, mixture_gain, parts_loss, read_parts
+from workbench.depth.evidence_uniform import Part, fit_parts, mixture_gain, parts_loss, read_parts, trust_in_one_blur
 from workbench.depth.evidence_view import (
     View,
     compare_sides,
@@ -95,6 +95,7 @@ def estimate_evidence(
     options: EvidenceOptions | None = None,
     *,
     workers: int = 1,
+    found: bool = False,
 ) -> dict[int, DepthEstimate]:
     """Depth of each region of an image.
 
@@ -110,6 +111,8 @@ def estimate_evidence(
         Defaults as described there.
     workers
         Regions that are measured at once, in threads; no answer depends on their number.
+    found
+        Whether the regions' outlines were found in the photograph, so that neighbours may leak in.
 
     Returns
     -------
@@ -126,7 +129,9 @@ def estimate_evidence(
         plane = luminance if mixture is None else np.asarray(image.planes @ mixture.astype(np.float32))
         photosites = image if mixture is None else None  # a colour by itself is sampled too coarsely
         is_light = mixture is None or bool((mixture >= 0).all())
-        return measure_region(plane, image.saturated, mask, model, learned, options, photosites, is_light=is_light)
+        return measure_region(
+            plane, image.saturated, mask, model, learned, options, photosites, is_light=is_light, is_found=found
+        )
 
     numbers = [int(label) for label in np.unique(labels[labels > 0])]
     return dict(zip(numbers, each(of_region, numbers, workers), strict=True))
@@ -149,7 +154,7 @@ class Observation:
     line_share: float
     """Part of the texture's power, relative to its smooth spectrum, in the strongest hundredth of the frequencies."""
     varied: float
-    """Log-likelihood that a mixture of neighbouring blurs gains over the best single one; 0 where nobody asks."""
+    """Log-likelihood that a mixture of neighbouring blurs gains over the best single one."""
     parts: list[Part]
     """Its quarters by themselves; none where they are too small, or nobody asks."""
 
@@ -167,7 +172,7 @@ def observe(
     """Pool the region's windows and fit every blur; None where no window fits.
 
     Photosites are looked at next to focus, where an image is given that has them. ``is_light``: see :class:`View`. With
-    ``as_one`` nobody asks whether the blur is the same all over.
+    ``as_one`` nobody asks whether its quarters have the same blur.
     """
     margin = min(options.margin_px, options.margin * float(np.sqrt(mask.sum())))
     size = options.window_px
@@ -188,12 +193,10 @@ def observe(
     view, photosites = View(plane, soft, clear, chosen, pooled, fit, is_light=is_light), None
     if with_photosites is not None and with_photosites.mosaic is not None and _next_to_focus(fit.log_likelihood, model):
         photosites = view_photosites(with_photosites, mask, view, model, options)
-    varied, parts = 0.0, list[Part]()
-    if not as_one:
-        varied = mixture_gain(pooled, expected, fit, model, options)
-        if size // 2 >= options.smallest_window_px:
-            finer = place_windows(mask, soft, size // 2, least_weight=options.least_weight)
-            parts = fit_parts(plane, finer, mask, model, options)
+    parts = list[Part]()
+    if not as_one and size // 2 >= options.smallest_window_px:
+        finer = place_windows(mask, soft, size // 2, least_weight=options.least_weight)
+        parts = fit_parts(plane, finer, mask, model, options)
     pixels = sum(w.weight for w in windows) * size * size * 0.25  # half overlap both ways: each pixel counts fourfold
     return Observation(
         view,
@@ -203,7 +206,7 @@ def observe(
         covered_pixels(mask, windows),
         _low_share(pooled.power, fit),
         _line_share(pooled.power, expected, fit),
-        varied,
+        mixture_gain(pooled, expected, fit, model, options),
         parts,
     )
 
@@ -251,6 +254,7 @@ def measure_region(
     with_photosites: LinearImage | None = None,
     *,
     is_light: bool = True,
+    is_found: bool = False,
 ) -> DepthEstimate:
     """Depth of one region; see :func:`estimate_evidence`."""
     pixels = int(mask.sum())
@@ -271,7 +275,7 @@ def measure_region(
         return _refused(model, "no-texture", pixels, reason)
     is_uneven = seen.varied > options.varied_log_likelihood
     is_uneven = is_uneven or parts_loss(seen.parts, model) > options.parts_log_likelihood
-    estimate = _conclude(seen, is_uneven, model, learned, options)
+    estimate = _conclude(seen, model, learned, options, is_uneven=is_uneven, is_found=is_found)
     if not is_uneven:
         return estimate
     return uneven(estimate, read_parts(seen.parts, seen.view, model, learned, options))
@@ -289,7 +293,13 @@ def _refused(model: DepthModel, status: Status, pixels: int, reason: str) -> Dep
 
 
 def _conclude(
-    seen: Observation, is_uneven: bool, model: DepthModel, learned: Learned, options: EvidenceOptions
+    seen: Observation,
+    model: DepthModel,
+    learned: Learned,
+    options: EvidenceOptions,
+    *,
+    is_uneven: bool,
+    is_found: bool,
 ) -> DepthEstimate:
     """From what was seen to an answer; nothing else is doubted of a region that has no single depth."""
     likelihood, views = seen.likelihood, (seen.view, seen.photosites)
@@ -304,7 +314,8 @@ def _conclude(
         if likelihood[row] > best - _REFINED_WITHIN and _narrow(likelihood, row)
     ]
     weighed = weight * likelihood
-    finely = [Refined(part.radius_px, weight * part.log_likelihood) for part in refined]
+    trust = weight * trust_in_one_blur(seen.varied)
+    finely = [part.weighed(weight, trust) for part in refined]
     sigma, log_post = signed_posterior(weighed, modes, far, near, model, options, finely)
     diagnostics = {
         "radius_px": model.row_radius_px,
@@ -313,9 +324,11 @@ def _conclude(
         "mode_radius_px": model.row_radius_px[modes],
         "mode_sparseness_far_near": np.stack([far, near]),
     }
-    row = int(np.abs(np.abs(model.row_radius_px) - abs(sigma[log_post.argmax()])).argmin())
-    finer = view_of(*views, row).finer
-    estimate = summarise(sigma, log_post, seen.covered, seen.line_share, finer, model, learned, options, diagnostics)
+    best_px = float(sigma[log_post.argmax()])
+    finer = view_of(*views, int(np.abs(np.abs(model.row_radius_px) - abs(best_px)).argmin())).finer
+    is_ridged = bool(seen.view.fit.ridges)
+    se = least_error_px(best_px, seen.line_share, finer, model, learned, is_ridged=is_ridged, is_found=is_found)
+    estimate = summarise(sigma, log_post, seen.covered, se, model, learned, options, diagnostics)
     if is_uneven:
         return estimate
     estimate = unless_halves_disagree(estimate, modes, half_odds(clues, learned), model)

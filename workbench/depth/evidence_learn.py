@@ -22,6 +22,7 @@ from workbench.depth.evidence_model import LEARNED, DepthModel, EvidenceOptions,
 from workbench.depth.evidence_posterior import find_modes, mode_scores, peak_of
 from workbench.depth.evidence_side import FAMILIES, SPARSENESS, Comparison
 from workbench.depth.evidence_textures import blurred_texture
+from workbench.depth.evidence_uniform import trust_in_one_blur
 from workbench.depth.evidence_view import compare_sides
 
 FloatArray = NDArray[np.float64]
@@ -155,6 +156,7 @@ def _draw(bank: Bank, model: DepthModel, options: EvidenceOptions, generator: np
     possible = model.sides_in_reach[modes]
     weighed = seen.view.fit.likelihood_weight * likelihood
     error, curvature = peak_of(weighed, radius, peak)
+    curvature *= trust_in_one_blur(seen.varied)
     return _Sample(weighed[modes], clues, possible, seen.pixels, true & possible, error - abs(sigma), curvature)
 
 

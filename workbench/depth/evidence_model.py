@@ -150,7 +150,7 @@ class Learned:
 
     spectral_weight: float = 1.0
     size_power: float = 0.25
-    floor_px: float = 0.04
+    floor_px: float = 0.03
     outlier: float = 0.003
     side_weights: tuple[float, ...] = (0.5, 0.2, 0.4, 0.1, 0.3, 0.2, 0.4, 0.1)
     mode_weights: tuple[float, ...] = (21.0, 7.0, 0.0, 35.0)

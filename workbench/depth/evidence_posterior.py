@@ -17,15 +17,19 @@ from workbench.depth.evidence_side import Comparison
 FloatArray = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-_FINER = 16
-"""The posterior's grid is finer than the likelihood's by this factor."""
+_FINER, _BETWEEN = 16, 8
+"""The posterior's grid is finer than the likelihood's by this factor; its interval ends at such parts of a step."""
 _SOFTNESS_PX, _SOFTNESS_RANGE_PX = 0.17, {1: 3.0, NATIVE_FINER: 2.0}
 """Close to focus a small blur and a texture that is itself a little soft or crisp look alike: standard error of the
 radius at focus, and the one over which it falls to 1/e (as a Gaussian), by how fine the pixels are. Measured on
 textures rendered by the simulated rig and by a ray tracer."""
-_LINES_PX, _LINES_FROM = 0.45, 0.25
+_LINES_PX, _LINES_FROM = 0.3, 0.1
 """A pattern's few spectral lines have heights of their own, which pass for blur: standard error of the radius per share
 of the texture's power that they hold beyond so much."""
+_RIDGED_PX = 0.035
+"""Standard error of the radius by what ridges of a form given beforehand miss of a texture's edges."""
+_FOUND_PX = 0.07
+"""The same by what neighbours leave in a region whose outline was found, not drawn."""
 
 _NEGATIVE_SHARE, _NEGATIVE_NATS, _MOST_NEGATIVE_NATS = 0.02, 1.6, 6.0
 """Of the true blurs of 1023 regions, simulated and ray-traced, one in a hundred leaves more than 5 % of the contrast to
@@ -137,6 +141,11 @@ class Refined:
     radius_px: FloatArray
     log_likelihood: FloatArray
 
+    def weighed(self, top: float, fall: float) -> Refined:
+        """The same, its highest value to one power of the likelihood, what it falls from there to another."""
+        highest = self.log_likelihood.max()
+        return Refined(self.radius_px, top * highest + fall * (self.log_likelihood - highest))
+
 
 def signed_posterior(
     log_rows: FloatArray,
@@ -174,12 +183,44 @@ def log_prior(model: DepthModel, sigma_px: FloatArray, power: float) -> FloatArr
     return power * np.log(model.depth_within_mm(sigma_px))
 
 
+def least_error_px(
+    sigma_px: float,
+    line_share: float,
+    finer: int,
+    model: DepthModel,
+    learned: Learned,
+    *,
+    is_ridged: bool,
+    is_found: bool,
+) -> float:
+    """Standard error (px) of a signed radius by what the likelihood doesn't know of.
+
+    Parameters
+    ----------
+    sigma_px
+        The radius.
+    line_share
+        Part of the texture's power in its strongest few frequencies.
+    finer
+        Pixels a superpixel is wide, in the view that the radius was read from.
+    model, learned
+        The bank, made ready: standard errors of its lens fit, and the error that no evidence undercuts.
+    is_ridged
+        Whether the texture has ridges.
+    is_found
+        Whether the region's outline was found in the photograph.
+    """
+    soft = _SOFTNESS_PX * float(np.exp(-((sigma_px / _SOFTNESS_RANGE_PX[finer]) ** 2)))
+    lens = float(np.interp(sigma_px, model.sigma_px, model.sigma_se_px))
+    lines = _LINES_PX * max(0.0, line_share - _LINES_FROM)
+    return float(np.linalg.norm([learned.floor_px, soft, lens, lines, _RIDGED_PX * is_ridged, _FOUND_PX * is_found]))
+
+
 def summarise(
     sigma: FloatArray,
     log_post: FloatArray,
     pixels: int,
-    line_share: float,
-    finer: int,
+    se: float,
     model: DepthModel,
     learned: Learned,
     options: EvidenceOptions,
@@ -187,17 +228,11 @@ def summarise(
 ) -> DepthEstimate:
     """Depth, interval, mirror and status from a log posterior over signed radii (float64 (G,), even steps).
 
-    ``line_share`` is the part of the texture's power in its strongest few frequencies, ``finer`` the pixels
-    a superpixel is wide, in the view that the best blur was read from.
+    ``se`` is the standard error (px) that the posterior doesn't know of.
     """
     step = float(sigma[1] - sigma[0])
     density = np.exp(log_post - log_post.max())
     density /= density.sum()
-    best = int(density.argmax())
-    soft = _SOFTNESS_PX * float(np.exp(-((sigma[best] / _SOFTNESS_RANGE_PX[finer]) ** 2)))
-    lens = float(np.interp(sigma[best], model.sigma_px, model.sigma_se_px))
-    lines = _LINES_PX * max(0.0, line_share - _LINES_FROM)
-    se = float(np.sqrt(learned.floor_px**2 + soft**2 + lens**2 + lines**2))
     reach = int(np.ceil(4 * se / step))
     blur = np.exp(-0.5 * (np.arange(-reach, reach + 1) * step / se) ** 2)
     density = np.convolve(density, blur / blur.sum(), mode="same")
@@ -212,7 +247,7 @@ def summarise(
     low, high = _hull(density, 0.95)
     # at the end of the bank's reach the depth is known no better than elsewhere
     farthest = min(sigma[-1] + 2 * se, model.farthest_px)
-    ends = np.clip([sigma[low] - step / 2, sigma[high] + step / 2], sigma[0] - 2 * se, farthest)
+    ends = np.clip(sigma[0] + step * np.array([low, high]), sigma[0] - 2 * se, farthest)
     interval = sorted(model.depth_mm(float(end)) for end in ends)
     mirror, mirror_probability = float("nan"), 0.0
     if abs(centre) > 2 * se and sigma[0] <= -centre <= sigma[-1]:
@@ -226,7 +261,7 @@ def summarise(
         second = model.depth_mm(min(float(sigma[start + int(density[start:stop].argmax())]), model.farthest_px))
     mass = masses[int(order[0])]
     # what holds 95 % may begin in another mode though this one holds as much
-    joined = low < first or high >= last
+    joined = low <= first - 1 or high >= last
     status: Status = "ok" if mass >= options.ambiguous_below and not joined else "ambiguous"
     reason = ""
     if status == "ambiguous":
@@ -260,9 +295,11 @@ def _split(density: FloatArray, step: float, gap_px: float = 1.0) -> list[tuple[
     return [(int(above[s]), int(above[e]) + 1) for s, e in zip(starts, ends, strict=True)]
 
 
-def _hull(density: FloatArray, mass: float) -> tuple[int, int]:
-    """First and last index of the highest-density set of this mass."""
-    order = np.argsort(-density)
-    count = int(np.searchsorted(np.cumsum(density[order]), mass * density.sum())) + 1
-    chosen = order[:count]
-    return int(chosen.min()), int(chosen.max())
+def _hull(density: FloatArray, mass: float) -> tuple[float, float]:
+    """Ends of the highest-density set of this mass, in steps of the grid: narrow peaks end between two of them."""
+    steps = np.arange((density.size - 1) * _BETWEEN + 1) / _BETWEEN
+    fine = np.interp(steps, np.arange(density.size), density)
+    falling = np.sort(fine)[::-1]
+    level = falling[min(int(np.searchsorted(np.cumsum(falling), mass * fine.sum())), fine.size - 1)]
+    held = steps[fine >= level]
+    return float(held[0]), float(held[-1])

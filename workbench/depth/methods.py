@@ -46,15 +46,16 @@ class Method:
         ``estimate(image, bank, labels, options)``: depth per label.
     options
         Dataclass of its constants.
-    in_threads
-        Whether ``estimate`` also takes ``workers``.
+    takes
+        What else ``estimate`` may be told: ``workers``, the threads it may use, and ``found``, whether the regions'
+        outlines were found in the photograph.
     """
 
     name: str
     source: str
     estimate: Estimator
     options: type
-    in_threads: bool = False
+    takes: frozenset[str] = frozenset()
 
 
 METHODS: dict[str, Method] = {
@@ -65,9 +66,15 @@ METHODS: dict[str, Method] = {
             "this project, docs/explanation/evidence.md",
             estimate_evidence,
             EvidenceOptions,
-            in_threads=True,
+            frozenset({"workers", "found"}),
         ),
-        Method("sharpness", "Kim 2021, sharpness assessment", estimate_sharpness, SharpnessOptions, in_threads=True),
+        Method(
+            "sharpness",
+            "Kim 2021, sharpness assessment",
+            estimate_sharpness,
+            SharpnessOptions,
+            frozenset({"workers"}),
+        ),
         Method("levin", "Levin, Fergus, Durand and Freeman 2007", estimate_levin, LevinOptions),
         Method("pair", "Zhou, Lin and Nayar 2009", estimate_pair, PairOptions),
         Method("zhuo-sim", "Zhuo and Sim 2011", estimate_zhuo_sim, ZhuoSimOptions),
@@ -149,6 +156,7 @@ def estimate_depths(
     settings: Mapping[str, Any],
     *,
     workers: int = 1,
+    found: bool = False,
 ) -> dict[int, DepthEstimate]:
     """Depth of every labelled region.
 
@@ -164,23 +172,27 @@ def estimate_depths(
         Name of the estimator and its options as texts; photographs and banks among them as such.
     workers
         Threads for methods that can use them; no answer depends on their number.
+    found
+        Whether the regions' outlines were found in the photograph; methods that know of it claim less then.
 
     Raises
     ------
     MethodError
         See :func:`make_options`.
     """
-    found, options = make_options(method, settings)
+    chosen, options = make_options(method, settings)
+    told = {name: value for name, value in (("workers", workers), ("found", found)) if name in chosen.takes}
     if len(bank.field_yx) == 1:
-        threads = {"workers": workers} if found.in_threads else {}
-        return found.estimate(image, bank, labels, options, **threads)
+        return chosen.estimate(image, bank, labels, options, **told)
 
     def in_place(label: int) -> dict[int, DepthEstimate]:
         mask = labels == label
         here = bank_at(bank, region_place(mask))
-        return found.estimate(image, here, np.where(mask, labels, 0).astype(np.int32), options)
+        return chosen.estimate(image, here, np.where(mask, labels, 0).astype(np.int32), options, **told | one_each)
 
-    parts = each(in_place, np.unique(labels[labels > 0]).tolist(), workers if found.in_threads else 1)
+    at_once = int(told.get("workers", 1))
+    one_each = {"workers": 1} if "workers" in told else {}
+    parts = each(in_place, np.unique(labels[labels > 0]).tolist(), at_once)
     return {label: estimate for part in parts for label, estimate in part.items()}
 
 
