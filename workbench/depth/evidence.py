@@ -37,6 +37,7 @@ from workbench.depth.evidence_expected import smeared_power
 from workbench.depth.evidence_model import DepthModel, EvidenceOptions, Learned, learned_of, prepare
 from workbench.depth.evidence_periodogram import pooled_periodogram
 from workbench.depth.evidence_posterior import (
+    Refined,
     find_modes,
     half_odds,
     least_error_px,
@@ -314,9 +315,10 @@ def _conclude(
         if likelihood[row] > best - _REFINED_WITHIN and _narrow(likelihood, row)
     ]
     weighed = weight * likelihood
-    trust = weight * trust_in_one_blur(seen.varied)
-    finely = [part.weighed(weight, trust) for part in refined]
+    finely = [Refined(part.radius_px, weight * part.log_likelihood) for part in refined]
     sigma, log_post = signed_posterior(weighed, modes, far, near, model, options, finely)
+    trust = trust_in_one_blur(seen.varied)
+    trusted = signed_posterior(weighed, modes, far, near, model, options, finely, trust)[1]
     diagnostics = {
         "radius_px": model.row_radius_px,
         "log_likelihood": likelihood,
@@ -328,7 +330,7 @@ def _conclude(
     finer = view_of(*views, int(np.abs(np.abs(model.row_radius_px) - abs(best_px)).argmin())).finer
     is_ridged = bool(seen.view.fit.ridges)
     se = least_error_px(best_px, seen.line_share, finer, model, learned, is_ridged=is_ridged, is_found=is_found)
-    estimate = summarise(sigma, log_post, seen.covered, se, model, learned, options, diagnostics)
+    estimate = summarise(sigma, log_post, trusted, seen.covered, se, model, learned, options, diagnostics)
     if is_uneven:
         return estimate
     estimate = unless_halves_disagree(estimate, modes, half_odds(clues, learned), model)

@@ -54,7 +54,7 @@ def mixed_power(expected: Float32, radius_px: FloatArray, spread_px: float) -> F
     radius_px
         float64 (D,): their radii, evenly spaced; |radius| counts, so that blurs of both sides of focus may mix.
     spread_px
-        Half the range of radii in a mixture.
+        Half the range of radii in a mixture, as far as the rows reach.
 
     Returns
     -------
@@ -68,7 +68,10 @@ def mixed_power(expected: Float32, radius_px: FloatArray, spread_px: float) -> F
     middles = ascending[::3][ascending[::3] <= ascending[-1] - 0.5 * spread_px]
     offsets = np.arange(-spread_px, spread_px + 0.5 * step, step)
     # both sides of focus where rows are signed: the nearest row of that |radius| will do
-    nearest = np.abs(np.abs(middles[:, np.newaxis] + offsets)[:, :, np.newaxis] - ascending).argmin(axis=2)
+    wanted = np.abs(middles[:, np.newaxis] + offsets)
+    nearest = np.abs(wanted[:, :, np.newaxis] - ascending).argmin(axis=2)
     share = np.zeros((middles.size, radius.size), np.float32)
-    np.add.at(share, (np.arange(middles.size)[:, np.newaxis], order[nearest]), np.float32(1.0 / offsets.size))
+    reached = (wanted <= ascending[-1] + 0.5 * step) & (wanted >= ascending[0] - 0.5 * step)
+    np.add.at(share, (np.arange(middles.size)[:, np.newaxis], order[nearest]), reached.astype(np.float32))
+    share /= share.sum(axis=1, keepdims=True)
     return np.asarray((share @ expected.reshape(radius.size, -1)).reshape(middles.size, *expected.shape[1:]))

@@ -141,11 +141,6 @@ class Refined:
     radius_px: FloatArray
     log_likelihood: FloatArray
 
-    def weighed(self, top: float, fall: float) -> Refined:
-        """The same, its highest value to one power of the likelihood, what it falls from there to another."""
-        highest = self.log_likelihood.max()
-        return Refined(self.radius_px, top * highest + fall * (self.log_likelihood - highest))
-
 
 def signed_posterior(
     log_rows: FloatArray,
@@ -155,10 +150,12 @@ def signed_posterior(
     model: DepthModel,
     options: EvidenceOptions,
     refined: Sequence[Refined] = (),
+    about_modes: float = 1.0,
 ) -> tuple[FloatArray, FloatArray]:
     """Unnormalised log posterior on a finer grid of signed radii, from the rows' and the modes' log-likelihoods.
 
-    Between the modes the nearest one's sparseness holds. Where the likelihood was refined that replaces the rows'.
+    Between the modes the nearest one's sparseness holds. Where the likelihood was refined that replaces the rows'. What
+    it falls by from a mode to all that is nearest to it is multiplied by ``about_modes``; the modes keep their heights.
     """
     nearest = np.abs(np.arange(log_rows.size)[:, np.newaxis] - np.array(modes)).argmin(axis=1)
     sigma = model.sigma_px
@@ -170,6 +167,10 @@ def signed_posterior(
     for part in refined:
         within = (place >= part.radius_px[0]) & (place <= part.radius_px[-1])
         log_likelihood[within] = CubicSpline(part.radius_px, part.log_likelihood)(place[within])
+    mode = nearest[model.row_of][closest]
+    top = np.full(len(modes), -np.inf)
+    np.maximum.at(top, mode, log_likelihood)
+    log_likelihood = top[mode] + about_modes * (log_likelihood - top[mode])
     return fine, log_likelihood + side[closest] + log_prior(model, fine, options.prior_power)
 
 
@@ -219,6 +220,7 @@ def least_error_px(
 def summarise(
     sigma: FloatArray,
     log_post: FloatArray,
+    log_trusted: FloatArray,
     pixels: int,
     se: float,
     model: DepthModel,
@@ -226,17 +228,26 @@ def summarise(
     options: EvidenceOptions,
     diagnostics: dict[str, FloatArray],
 ) -> DepthEstimate:
-    """Depth, interval, mirror and status from a log posterior over signed radii (float64 (G,), even steps).
+    """Depth, interval, mirror and status from a log posterior over signed radii.
 
-    ``se`` is the standard error (px) that the posterior doesn't know of.
+    Parameters
+    ----------
+    sigma
+        float64 (G,): signed radii (px), in even steps.
+    log_post, log_trusted
+        float64 (G,): the posterior's logarithm but for a constant, as blurs far apart are compared, and as far as it is
+        trusted about its modes. Depth and status come from the first, the interval from the second.
+    pixels
+        That were looked at.
+    se
+        Standard error (px) that the posterior doesn't know of.
+    model, learned, options
+        The bank, made ready; the probability that all is wrong; when an answer is ambiguous.
+    diagnostics
+        Kept with the estimate.
     """
     step = float(sigma[1] - sigma[0])
-    density = np.exp(log_post - log_post.max())
-    density /= density.sum()
-    reach = int(np.ceil(4 * se / step))
-    blur = np.exp(-0.5 * (np.arange(-reach, reach + 1) * step / se) ** 2)
-    density = np.convolve(density, blur / blur.sum(), mode="same")
-    density = (1.0 - learned.outlier) * density / density.sum() + learned.outlier / density.size
+    density, trusted = (_density(log, step, se, learned.outlier) for log in (log_post, log_trusted))
     modes = _split(density, step)
     masses = [float(density[a:b].sum()) for a, b in modes]
     order = np.argsort(masses)[::-1]
@@ -244,10 +255,9 @@ def summarise(
     share = density[first:last] / density[first:last].sum()
     centre = min(float((share * sigma[first:last]).sum()), model.farthest_px)
     depth = model.depth_mm(centre)
-    low, high = _hull(density, 0.95)
-    # at the end of the bank's reach the depth is known no better than elsewhere
-    farthest = min(sigma[-1] + 2 * se, model.farthest_px)
-    ends = np.clip(sigma[0] + step * np.array([low, high]), sigma[0] - 2 * se, farthest)
+    low, high = _hull(trusted, 0.95)
+    # the mean of a mode that is steep on one side only may lie beyond what is trusted
+    ends = (min(sigma[0] + step * low, centre), max(min(sigma[0] + step * high, model.farthest_px), centre))
     interval = sorted(model.depth_mm(float(end)) for end in ends)
     mirror, mirror_probability = float("nan"), 0.0
     if abs(centre) > 2 * se and sigma[0] <= -centre <= sigma[-1]:
@@ -260,8 +270,8 @@ def summarise(
         start, stop = modes[int(order[1])]
         second = model.depth_mm(min(float(sigma[start + int(density[start:stop].argmax())]), model.farthest_px))
     mass = masses[int(order[0])]
-    # what holds 95 % may begin in another mode though this one holds as much
-    joined = low <= first - 1 or high >= last
+    # what holds 95 % may reach into another mode though this one holds as much
+    joined = any(low <= b - 1 and high >= a for a, b in modes if a != first)
     status: Status = "ok" if mass >= options.ambiguous_below and not joined else "ambiguous"
     reason = ""
     if status == "ambiguous":
@@ -269,7 +279,7 @@ def summarise(
         named = f"most likely {other / 10:.0f} cm" if np.isfinite(other) else "none of them likely by itself"
         reason = f"{1 - mass:.0%} probability of another depth, {named}"
     coarse = np.zeros(model.sigma_px.size)
-    np.add.at(coarse, np.clip(np.rint((sigma - sigma[0]) / (step * _FINER)).astype(int), 0, coarse.size - 1), density)
+    np.add.at(coarse, np.clip(np.rint((sigma - sigma[0]) / (step * _FINER)).astype(int), 0, coarse.size - 1), trusted)
     return DepthEstimate(
         depth_mm=depth,
         interval_mm=(float(interval[0]), float(interval[1])),
@@ -284,6 +294,15 @@ def summarise(
         reason=reason,
         diagnostics=diagnostics,
     )
+
+
+def _density(log_post: FloatArray, step: float, se: float, outlier: float) -> FloatArray:
+    """Probability per step, convolved with a Gaussian error, and a share of it spread evenly."""
+    density = np.exp(log_post - log_post.max())
+    reach = int(np.ceil(4 * se / step))
+    blur = np.exp(-0.5 * (np.arange(-reach, reach + 1) * step / se) ** 2)
+    density = np.convolve(density, blur)[reach : reach + density.size]
+    return np.asarray((1.0 - outlier) * density / density.sum() + outlier / density.size)
 
 
 def _split(density: FloatArray, step: float, gap_px: float = 1.0) -> list[tuple[int, int]]:

@@ -47,7 +47,9 @@ _HELD = 1.92
 def mixture_gain(
     pooled: Pooled, expected: NDArray[np.float32], single: SpectralFit, model: DepthModel, options: EvidenceOptions
 ) -> float:
-    """Log-likelihood that a mixture of neighbouring blurs gains over the best single one.
+    """Log-likelihood (nats) that a mixture of neighbouring blurs gains over the best single one.
+
+    NaN where the bank holds no such range of radii.
 
     Parameters
     ----------
@@ -59,15 +61,15 @@ def mixture_gain(
         Radii of the blurs; how far they mix.
     """
     mixtures = mixed_power(expected, model.row_radius_px, options.varied_px)
-    if not len(mixtures):  # the bank holds no such range of radii
-        return 0.0
+    if not len(mixtures):
+        return float("nan")
     fit = fit_spectra(pooled.power, pooled.trusted, mixtures, independent_share=pooled.independent_share,
                       factor=options.factor, ridges=single.ridges)  # fmt: skip
     return float(fit.log_likelihood.max() - single.log_likelihood.max())
 
 
 def trust_in_one_blur(gain: float) -> float:
-    """Power that a region's likelihood is raised to, by what a mixture of neighbouring blurs gains over a single one.
+    """Power that a region's likelihood is raised to about its modes, by what a mixture of neighbouring blurs gains.
 
     A mixture fills the zeros of the transfer function, which no texture can mimic: where a region shows them it loses
     much, and the likelihood is worth more than it claims. Where it loses little, the radius hangs on how steeply the
@@ -76,8 +78,15 @@ def trust_in_one_blur(gain: float) -> float:
     Parameters
     ----------
     gain
-        From :func:`mixture_gain`.
+        Nats, from :func:`mixture_gain`.
+
+    Returns
+    -------
+    float
+        Below 1 where the mixture fits nearly as well; 1 where nobody knows.
     """
+    if np.isnan(gain):
+        return 1.0
     return float(_TRUST * (1.0 - min(gain, 0.0)) ** _TRUST_POWER)
 
 

@@ -181,18 +181,17 @@ def estimate_depths(
         See :func:`make_options`.
     """
     chosen, options = make_options(method, settings)
-    told = {name: value for name, value in (("workers", workers), ("found", found)) if name in chosen.takes}
+    told = {"found": found} if "found" in chosen.takes else {}
+    threads = {"workers": workers} if "workers" in chosen.takes else {}
     if len(bank.field_yx) == 1:
-        return chosen.estimate(image, bank, labels, options, **told)
+        return chosen.estimate(image, bank, labels, options, **told, **threads)
 
     def in_place(label: int) -> dict[int, DepthEstimate]:
         mask = labels == label
         here = bank_at(bank, region_place(mask))
-        return chosen.estimate(image, here, np.where(mask, labels, 0).astype(np.int32), options, **told | one_each)
+        return chosen.estimate(image, here, np.where(mask, labels, 0).astype(np.int32), options, **told)
 
-    at_once = int(told.get("workers", 1))
-    one_each = {"workers": 1} if "workers" in told else {}
-    parts = each(in_place, np.unique(labels[labels > 0]).tolist(), at_once)
+    parts = each(in_place, np.unique(labels[labels > 0]).tolist(), threads.get("workers", 1))
     return {label: estimate for part in parts for label, estimate in part.items()}
 
 

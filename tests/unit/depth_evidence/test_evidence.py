@@ -295,7 +295,7 @@ def test_no_other_depth_lies_beyond_infinity() -> None:
     sigma = np.linspace(-beyond - 1.0, beyond + 0.2, 4001)
     places = ((-beyond, 0.0), (beyond, -1.0))  # a second depth, and the mirror of the first, past infinity
     log_post = np.logaddexp.reduce([level - 0.5 * ((sigma - place) / 0.05) ** 2 for place, level in places])
-    found = summarise(sigma, log_post, 16384, 0.05, model, Learned(), options, {})
+    found = summarise(sigma, log_post, log_post, 16384, 0.05, model, Learned(), options, {})
     assert found.depth_mm < 1600.0
     assert found.second_mm > 40000.0
     assert found.mirror_mm > 40000.0

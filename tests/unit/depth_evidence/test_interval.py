@@ -7,10 +7,10 @@ import pytest
 from scipy.stats import norm
 
 from calibration.bank import Bank
-from tests.unit.depth_evidence.synthetic import leaves, photograph
-from workbench.depth.evidence import observe, prepare
+from tests.unit.depth_evidence.synthetic import leaves, make_bank, photograph, with_pupil
+from workbench.depth.evidence import estimate_evidence, observe, prepare
 from workbench.depth.evidence_model import EvidenceOptions, Learned
-from workbench.depth.evidence_posterior import Refined, least_error_px, summarise
+from workbench.depth.evidence_posterior import least_error_px, log_prior, signed_posterior, summarise
 from workbench.depth.evidence_uniform import trust_in_one_blur
 from workbench.depth.methods import estimate_depths
 from workbench.depth.regions import from_roi, whole
@@ -28,7 +28,7 @@ def test_interval_holds_95_percent_of_a_posterior_hardly_wider_than_its_steps(
     step = 0.02
     sigma = np.arange(2.0, 8.0, step)
     log_post = -0.5 * ((sigma - 5.0 - between_steps * step) / 0.02) ** 2
-    found = summarise(sigma, log_post, 1000, se_px, model, Learned(outlier=0.0), options, {})
+    found = summarise(sigma, log_post, log_post, 1000, se_px, model, Learned(outlier=0.0), options, {})
     low, high = (model.psfs.radius_px(end) for end in found.interval_mm)
     half = norm.ppf(0.975) * np.hypot(se_px, 0.02)
     assert (high - low) / 2 == pytest.approx(half, rel=0.03)
@@ -52,10 +52,62 @@ def test_trust_falls_as_a_mixture_fits_better() -> None:
     assert trust[0] > 1.0 > trust[-1] == trust[-2] > 0.0
 
 
-def test_a_mode_keeps_its_height_however_much_it_is_trusted() -> None:
-    part = Refined(np.arange(3.0), np.array([1.0, 5.0, 3.0]))
-    assert part.weighed(1.0, 0.5).log_likelihood.tolist() == [3.0, 5.0, 4.0]
-    assert part.weighed(0.5, 2.0).log_likelihood.tolist() == [-5.5, 2.5, -1.5]
+def test_a_mode_keeps_its_height_however_much_it_is_trusted(bank: Bank) -> None:
+    options = EvidenceOptions()
+    model = prepare(bank, options)
+    modes = [5, 20]
+    radius = model.row_radius_px
+    rows = np.maximum(-((radius - radius[5]) ** 2), -3.0 - (radius - radius[20]) ** 2)
+    sides = np.zeros(2), np.zeros(2)
+    sigma, plain = signed_posterior(rows, modes, *sides, model, options)
+    heights, widths = [], []
+    for trust in (0.5, 1.0, 2.0):
+        likelihood = signed_posterior(rows, modes, *sides, model, options, about_modes=trust)[1]
+        likelihood = likelihood - log_prior(model, sigma, options.prior_power)
+        heights.append([likelihood[np.abs(sigma - radius[mode]) < 0.5].max() for mode in modes])
+        below = likelihood[np.abs(sigma - radius[5]).argmin()] - likelihood[np.abs(sigma - radius[5] - 0.6).argmin()]
+        widths.append(below)
+    assert plain.shape == sigma.shape
+    assert np.ptp(heights, axis=0) == pytest.approx(0.0, abs=1e-3)
+    assert widths == pytest.approx([0.18, 0.36, 0.72], rel=0.05)
+
+
+@pytest.mark.parametrize("step_px", [0.15, 0.3, 0.6])
+def test_width_does_not_depend_on_the_grid_of_radii(bank: Bank, step_px: float) -> None:
+    image = photograph(leaves(SIDE, 8), 2600.0, noise=0.02)
+    found = estimate_evidence(image, bank, whole(image.shape), EvidenceOptions(radius_step_px=step_px))[1]
+    usual = estimate_evidence(image, bank, whole(image.shape))[1]
+    assert np.ptp(found.interval_mm) == pytest.approx(np.ptp(usual.interval_mm), rel=0.1)
+
+
+def test_interval_follows_the_trust(bank: Bank, monkeypatch: pytest.MonkeyPatch) -> None:
+    image = photograph(leaves(SIDE, 8), 2600.0, noise=0.02)
+    found = estimate_evidence(image, bank, whole(image.shape))[1]
+    widths = []
+    for trust in (0.2, 1.0, 20.0):
+        monkeypatch.setattr("workbench.depth.evidence.trust_in_one_blur", lambda _, trust=trust: trust)
+        other = estimate_evidence(image, bank, whole(image.shape))[1]
+        assert (other.depth_mm, other.status) == (found.depth_mm, found.status)
+        widths.append(np.ptp(other.interval_mm))
+    assert widths[0] > 1.2 * widths[1] > 1.4 * widths[2]
+
+
+@pytest.mark.parametrize("first_mm", [700.0, 2000.0, 2500.0])
+def test_trust_does_not_depend_on_where_the_bank_ends(first_mm: float) -> None:
+    """But for a sixth of the width: mixtures hold what blurs the bank has, none of them twice."""
+    plane = photograph(leaves(SIDE, 8), 2600.0, noise=0.02).luminance
+    lost = []
+    for start in (700.0, first_mm):
+        bank = with_pupil(make_bank(depths_mm=np.arange(start, 3501.0, 100.0)))
+        model = prepare(bank, EvidenceOptions())
+        seen = observe(plane, np.ones(plane.shape, bool), model, EvidenceOptions(), as_one=True)
+        assert seen is not None
+        lost.append(seen.varied)
+    assert trust_in_one_blur(lost[1]) == pytest.approx(trust_in_one_blur(lost[0]), rel=0.35)
+
+
+def test_bank_without_a_range_of_blurs_changes_no_width() -> None:
+    assert trust_in_one_blur(float("nan")) == 1.0
 
 
 def test_errors_that_the_likelihood_does_not_know_add_in_quadrature(bank: Bank) -> None:
