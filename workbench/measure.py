@@ -45,9 +45,10 @@ class MeasureOptions:
     srm_q: float = 32.0
 
     @property
-    def drawn(self) -> bool:
-        """Whether the operator says where regions are; otherwise they are found in the photograph."""
-        return bool(self.roi or self.labels or self.whole)
+    def regions_given(self) -> list[str]:
+        """Options by which the operator says where regions are; without them they are found in the photograph."""
+        given = ("--roi", self.roi), ("--labels", self.labels), ("--whole", self.whole)
+        return [name for name, value in given if value]
 
 
 MOST_REGIONS = 65535
@@ -134,11 +135,8 @@ def find_regions(image: LinearImage, bank: Bank, options: MeasureOptions) -> NDA
     InputError
         More than one way chosen, an ROI outside the image, a label image that doesn't fit.
     """
-    chosen = [
-        name for name, on in (("--roi", options.roi), ("--labels", options.labels), ("--whole", options.whole)) if on
-    ]
-    if len(chosen) > 1:
-        raise InputError(f"{' and '.join(chosen)}: choose one of them")
+    if len(options.regions_given) > 1:
+        raise InputError(f"{' and '.join(options.regions_given)}: choose one of them")
     height, width = image.shape
     if options.roi is not None:
         x, y, w, h = options.roi
@@ -172,7 +170,13 @@ def measure(path: Path, bank: Bank, bank_ref: str, options: MeasureOptions) -> M
     labels = find_regions(image, bank, options)
     workers = min(usable_processors(), _MOST_AT_ONCE)
     estimates = estimate_depths(
-        image, bank, labels, options.method, dict(options.method_options), workers=workers, found=not options.drawn
+        image,
+        bank,
+        labels,
+        options.method,
+        dict(options.method_options),
+        workers=workers,
+        outlines_found=not options.regions_given,
     )
     return Measurement(
         image=image,

@@ -9,8 +9,8 @@
    much of their light is negative (:mod:`~workbench.depth.evidence_side`): the true blur, on its true side, gives the
    sparsest, and needs none.
 4. Both join in one posterior over the signed radius, which is linear in 1/depth. The likelihood is weighed by the
-   texture's ridges and by what was learned from the bank, the posterior widened by the lens fit's standard errors, and
-   by a share for what no model foresees.
+   texture's ridges and by what was learned from the bank, the posterior widened by errors that it doesn't know of. How
+   wide it is about each mode follows what a mixture of blurs loses (:mod:`~workbench.depth.evidence_uniform`).
 """
 
 from __future__ import annotations
@@ -96,7 +96,7 @@ def estimate_evidence(
     options: EvidenceOptions | None = None,
     *,
     workers: int = 1,
-    found: bool = False,
+    outlines_found: bool = False,
 ) -> dict[int, DepthEstimate]:
     """Depth of each region of an image.
 
@@ -112,7 +112,7 @@ def estimate_evidence(
         Defaults as described there.
     workers
         Regions that are measured at once, in threads; no answer depends on their number.
-    found
+    outlines_found
         Whether the regions' outlines were found in the photograph, so that neighbours may leak in.
 
     Returns
@@ -131,7 +131,15 @@ def estimate_evidence(
         photosites = image if mixture is None else None  # a colour by itself is sampled too coarsely
         is_light = mixture is None or bool((mixture >= 0).all())
         return measure_region(
-            plane, image.saturated, mask, model, learned, options, photosites, is_light=is_light, is_found=found
+            plane,
+            image.saturated,
+            mask,
+            model,
+            learned,
+            options,
+            photosites,
+            is_light=is_light,
+            outlines_found=outlines_found,
         )
 
     numbers = [int(label) for label in np.unique(labels[labels > 0])]
@@ -255,7 +263,7 @@ def measure_region(
     with_photosites: LinearImage | None = None,
     *,
     is_light: bool = True,
-    is_found: bool = False,
+    outlines_found: bool = False,
 ) -> DepthEstimate:
     """Depth of one region; see :func:`estimate_evidence`."""
     pixels = int(mask.sum())
@@ -276,7 +284,7 @@ def measure_region(
         return _refused(model, "no-texture", pixels, reason)
     is_uneven = seen.varied > options.varied_log_likelihood
     is_uneven = is_uneven or parts_loss(seen.parts, model) > options.parts_log_likelihood
-    estimate = _conclude(seen, model, learned, options, is_uneven=is_uneven, is_found=is_found)
+    estimate = _conclude(seen, model, learned, options, is_uneven=is_uneven, outlines_found=outlines_found)
     if not is_uneven:
         return estimate
     return uneven(estimate, read_parts(seen.parts, seen.view, model, learned, options))
@@ -300,7 +308,7 @@ def _conclude(
     options: EvidenceOptions,
     *,
     is_uneven: bool,
-    is_found: bool,
+    outlines_found: bool,
 ) -> DepthEstimate:
     """From what was seen to an answer; nothing else is doubted of a region that has no single depth."""
     likelihood, views = seen.likelihood, (seen.view, seen.photosites)
@@ -329,7 +337,9 @@ def _conclude(
     best_px = float(sigma[log_post.argmax()])
     finer = view_of(*views, int(np.abs(np.abs(model.row_radius_px) - abs(best_px)).argmin())).finer
     is_ridged = bool(seen.view.fit.ridges)
-    se = least_error_px(best_px, seen.line_share, finer, model, learned, is_ridged=is_ridged, is_found=is_found)
+    se = least_error_px(
+        best_px, seen.line_share, finer, model, learned, is_ridged=is_ridged, outlines_found=outlines_found
+    )
     estimate = summarise(sigma, log_post, trusted, seen.covered, se, model, learned, options, diagnostics)
     if is_uneven:
         return estimate

@@ -19,11 +19,11 @@ from scipy.special import logsumexp
 from calibration.bank import Bank
 from workbench.depth.evidence import observe
 from workbench.depth.evidence_model import LEARNED, DepthModel, EvidenceOptions, Learned, prepare
-from workbench.depth.evidence_posterior import find_modes, mode_scores, peak_of
+from workbench.depth.evidence_posterior import find_modes, least_error_px, mode_scores, peak_of
 from workbench.depth.evidence_side import FAMILIES, SPARSENESS, Comparison
 from workbench.depth.evidence_textures import blurred_texture
 from workbench.depth.evidence_uniform import trust_in_one_blur
-from workbench.depth.evidence_view import compare_sides
+from workbench.depth.evidence_view import compare_sides, view_of
 
 FloatArray = NDArray[np.float64]
 
@@ -51,7 +51,9 @@ class _Sample:
     error_px: float
     """Of the spectral likelihood's peak next to the true radius; NaN where there is none."""
     curvature: float
-    """Of the log-likelihood there, weighed likewise, per px^2."""
+    """Of the log-likelihood there as far as it is trusted, per px^2."""
+    known_px: float
+    """Standard error of the radius that is known without a floor: softness, lens, lines, ridges."""
 
 
 def learn(bank: Bank, seed: int = 0, samples: int = SAMPLES) -> dict[str, NDArray[np.float64]]:
@@ -123,7 +125,7 @@ def _floor(samples: list[_Sample], weight: float, least: float) -> float:
     if len(usable) < 20:
         return least
     error = np.array([abs(s.error_px) for s in usable])
-    variance = np.array([1.0 / (weight * s.curvature) for s in usable])
+    variance = np.array([1.0 / (weight * s.curvature) + s.known_px**2 for s in usable])
     needed = np.sqrt(np.maximum((error / 1.96) ** 2 - variance, 0.0))
     return float(np.clip(np.quantile(needed, 0.95), least, 0.5))
 
@@ -157,7 +159,12 @@ def _draw(bank: Bank, model: DepthModel, options: EvidenceOptions, generator: np
     weighed = seen.view.fit.likelihood_weight * likelihood
     error, curvature = peak_of(weighed, radius, peak)
     curvature *= trust_in_one_blur(seen.varied)
-    return _Sample(weighed[modes], clues, possible, seen.pixels, true & possible, error - abs(sigma), curvature)
+    finer = view_of(seen.view, seen.photosites, peak).finer
+    is_ridged = bool(seen.view.fit.ridges)
+    known = least_error_px(
+        sigma, seen.line_share, finer, model, Learned(floor_px=0.0), is_ridged=is_ridged, outlines_found=False
+    )
+    return _Sample(weighed[modes], clues, possible, seen.pixels, true & possible, error - abs(sigma), curvature, known)
 
 
 def _photograph(side: int, psf: NDArray[np.float32], generator: np.random.Generator) -> NDArray[np.float32]:

@@ -17,7 +17,7 @@ from workbench.depth.options import require
 FloatArray = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-LEARNED = "evidence_learned_3"
+LEARNED = "evidence_learned_4"
 """Name of :class:`Learned` among a bank's extras."""
 NATIVE_FINER = 2
 """Photosites a superpixel is wide."""
@@ -57,7 +57,8 @@ class EvidenceOptions:
         looks like a rough one behind a larger blur.
     varied_px, varied_log_likelihood
         A mixture of blurs whose radii lie so far to both sides, and which explains the spectrum so much better than any
-        single blur, makes a region ambiguous: its surface is slanted, or it holds several depths.
+        single blur, makes a region ambiguous: its surface is slanted, or it holds several depths. What it explains
+        worse sets how far the likelihood is trusted about its modes, and the interval's width; that is set for 4 px.
     parts_log_likelihood
         So does what the region's parts lose, together, by sharing one blur.
     least_evidence

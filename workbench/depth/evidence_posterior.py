@@ -192,7 +192,7 @@ def least_error_px(
     learned: Learned,
     *,
     is_ridged: bool,
-    is_found: bool,
+    outlines_found: bool,
 ) -> float:
     """Standard error (px) of a signed radius by what the likelihood doesn't know of.
 
@@ -201,20 +201,22 @@ def least_error_px(
     sigma_px
         The radius.
     line_share
-        Part of the texture's power in its strongest few frequencies.
+        Part of the texture's power in the strongest hundredth of the frequencies.
     finer
         Pixels a superpixel is wide, in the view that the radius was read from.
     model, learned
         The bank, made ready: standard errors of its lens fit, and the error that no evidence undercuts.
     is_ridged
         Whether the texture has ridges.
-    is_found
+    outlines_found
         Whether the region's outline was found in the photograph.
     """
     soft = _SOFTNESS_PX * float(np.exp(-((sigma_px / _SOFTNESS_RANGE_PX[finer]) ** 2)))
     lens = float(np.interp(sigma_px, model.sigma_px, model.sigma_se_px))
     lines = _LINES_PX * max(0.0, line_share - _LINES_FROM)
-    return float(np.linalg.norm([learned.floor_px, soft, lens, lines, _RIDGED_PX * is_ridged, _FOUND_PX * is_found]))
+    return float(
+        np.linalg.norm([learned.floor_px, soft, lens, lines, _RIDGED_PX * is_ridged, _FOUND_PX * outlines_found])
+    )
 
 
 def summarise(

@@ -46,16 +46,18 @@ class Method:
         ``estimate(image, bank, labels, options)``: depth per label.
     options
         Dataclass of its constants.
-    takes
-        What else ``estimate`` may be told: ``workers``, the threads it may use, and ``found``, whether the regions'
-        outlines were found in the photograph.
+    in_threads
+        Whether ``estimate`` also takes ``workers``.
+    knows_outlines
+        Whether it also takes ``outlines_found``.
     """
 
     name: str
     source: str
     estimate: Estimator
     options: type
-    takes: frozenset[str] = frozenset()
+    in_threads: bool = False
+    knows_outlines: bool = False
 
 
 METHODS: dict[str, Method] = {
@@ -66,15 +68,10 @@ METHODS: dict[str, Method] = {
             "this project, docs/explanation/evidence.md",
             estimate_evidence,
             EvidenceOptions,
-            frozenset({"workers", "found"}),
+            in_threads=True,
+            knows_outlines=True,
         ),
-        Method(
-            "sharpness",
-            "Kim 2021, sharpness assessment",
-            estimate_sharpness,
-            SharpnessOptions,
-            frozenset({"workers"}),
-        ),
+        Method("sharpness", "Kim 2021, sharpness assessment", estimate_sharpness, SharpnessOptions, in_threads=True),
         Method("levin", "Levin, Fergus, Durand and Freeman 2007", estimate_levin, LevinOptions),
         Method("pair", "Zhou, Lin and Nayar 2009", estimate_pair, PairOptions),
         Method("zhuo-sim", "Zhuo and Sim 2011", estimate_zhuo_sim, ZhuoSimOptions),
@@ -156,7 +153,7 @@ def estimate_depths(
     settings: Mapping[str, Any],
     *,
     workers: int = 1,
-    found: bool = False,
+    outlines_found: bool = False,
 ) -> dict[int, DepthEstimate]:
     """Depth of every labelled region.
 
@@ -172,7 +169,7 @@ def estimate_depths(
         Name of the estimator and its options as texts; photographs and banks among them as such.
     workers
         Threads for methods that can use them; no answer depends on their number.
-    found
+    outlines_found
         Whether the regions' outlines were found in the photograph; methods that know of it claim less then.
 
     Raises
@@ -181,8 +178,8 @@ def estimate_depths(
         See :func:`make_options`.
     """
     chosen, options = make_options(method, settings)
-    told = {"found": found} if "found" in chosen.takes else {}
-    threads = {"workers": workers} if "workers" in chosen.takes else {}
+    told = {"outlines_found": outlines_found} if chosen.knows_outlines else {}
+    threads = {"workers": workers} if chosen.in_threads else {}
     if len(bank.field_yx) == 1:
         return chosen.estimate(image, bank, labels, options, **told, **threads)
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.stats import norm
@@ -114,27 +116,39 @@ def test_errors_that_the_likelihood_does_not_know_add_in_quadrature(bank: Bank) 
     model, learned = prepare(bank, EvidenceOptions()), Learned()
 
     def error(sigma_px: float = 8.0, line_share: float = 0.0, *, ridged: bool = False, found: bool = False) -> float:
-        return least_error_px(sigma_px, line_share, 1, model, learned, is_ridged=ridged, is_found=found)
+        return least_error_px(sigma_px, line_share, 1, model, learned, is_ridged=ridged, outlines_found=found)
 
     plain = error()
-    assert plain >= learned.floor_px
+    assert plain == pytest.approx(np.hypot(learned.floor_px, model.sigma_se_px[0]), abs=0.01)
     ridged, found, both = error(ridged=True), error(found=True), error(ridged=True, found=True)
     assert both**2 - plain**2 == pytest.approx(ridged**2 + found**2 - 2 * plain**2)
     assert error(line_share=0.6) > error(line_share=0.3) > plain == error(line_share=0.05)
-    assert error(sigma_px=0.3) > error(sigma_px=3.0) > 0
+    assert error(sigma_px=0.3) > 0.15 > error(sigma_px=3.0)
 
 
 def test_outlines_that_were_found_widen_the_interval_and_move_nothing(bank: Bank) -> None:
     image = photograph(leaves(SIDE, 8), 2600.0)
     labels = from_roi(image.shape, (4, 4, 120, 120))
     drawn = estimate_depths(image, bank, labels, "evidence", {})[1]
-    found = estimate_depths(image, bank, labels, "evidence", {}, found=True)[1]
+    found = estimate_depths(image, bank, labels, "evidence", {}, outlines_found=True)[1]
     assert found.interval_mm[0] < drawn.interval_mm[0] < drawn.interval_mm[1] < found.interval_mm[1]
     assert found.depth_mm == pytest.approx(drawn.depth_mm, rel=1e-3)
+
+
+def test_a_bank_over_the_field_tells_it_too(bank: Bank) -> None:
+    places = np.array([(-0.4, -0.4), (0.4, 0.4)])
+    psf, se = np.repeat(bank.psf, 2, axis=0), np.repeat(bank.psf_se, 2, axis=0)
+    field = replace(bank, psf=psf, psf_se=se, field_yx=places)
+    image = photograph(leaves(SIDE, 8), 2600.0)
+    drawn, found = (
+        estimate_depths(image, field, whole(image.shape), "evidence", {}, outlines_found=told)[1]
+        for told in (False, True)
+    )
+    assert np.ptp(found.interval_mm) > 1.2 * np.ptp(drawn.interval_mm)
 
 
 def test_methods_that_know_nothing_of_outlines_are_not_told(bank: Bank) -> None:
     image = photograph(leaves(SIDE, 8), 2600.0)
     labels = whole(image.shape)
     drawn = estimate_depths(image, bank, labels, "zhuo-sim", {})[1]
-    assert estimate_depths(image, bank, labels, "zhuo-sim", {}, found=True)[1].depth_mm == drawn.depth_mm
+    assert estimate_depths(image, bank, labels, "zhuo-sim", {}, outlines_found=True)[1].depth_mm == drawn.depth_mm

@@ -86,7 +86,7 @@ def test_a_texture_with_ridges_counts_for_less(bank: Bank, monkeypatch: pytest.M
     image = photograph(sign(200, 2), 2600.0, noise=0.015, seed=2)
     region = np.ones(image.shape, np.int32)
     found = estimate_evidence(image, bank, region)[1]
-    monkeypatch.setattr(evidence_spectrum, "_LESS_PER_RIDGE", 0.0)
+    monkeypatch.setattr(evidence_spectrum.SpectralFit, "likelihood_weight", 1.0)
     surer = estimate_evidence(image, bank, region)[1]
     assert found.depth_mm == pytest.approx(2600.0, abs=50.0)
     assert np.ptp(found.interval_mm) > 1.08 * np.ptp(surer.interval_mm)

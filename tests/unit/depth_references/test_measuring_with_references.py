@@ -3,12 +3,14 @@
 import json
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from simulated_views import ELL, SEVEN, bank_through, photograph, textured
 
 from calibration.errors import CalibrationError
 from workbench.banks import store_bank
+from workbench.depth.estimate import DepthEstimate
 from workbench.errors import InputError
 from workbench.measure import MeasureOptions, measure, open_second_view, save
 from workbench.project import Project
@@ -58,3 +60,25 @@ def test_what_is_missing_or_unknown_is_said_before_anything_is_measured(project:
     with pytest.raises(CalibrationError, match="v7"):
         open_second_view(project, "pair", (("second_image", "ell.npy"), ("second_bank", "v7")))
     assert open_second_view(project, "levin", (("tiles", "1"),)) == (("tiles", "1"),)
+
+
+@pytest.mark.parametrize(
+    ("chosen", "found"),
+    [({}, True), ({"segment": "colour"}, True), ({"whole": True}, False), ({"roi": (0, 0, 96, 96)}, False),
+     ({"labels": "labels.png"}, False)],
+)  # fmt: skip
+def test_the_estimator_is_told_whether_outlines_were_found(
+    project: Project, monkeypatch: pytest.MonkeyPatch, chosen: dict[str, object], found: bool
+) -> None:
+    told: list[bool] = []
+
+    def estimates(*_: object, outlines_found: bool = False, **__: object) -> dict[int, DepthEstimate]:
+        told.append(outlines_found)
+        return {}
+
+    monkeypatch.setattr("workbench.measure.estimate_depths", estimates)
+    if "labels" in chosen:
+        chosen = {"labels": project.root / "labels.png"}
+        cv2.imwrite(str(chosen["labels"]), np.ones((SIDE, SIDE), np.uint8))
+    measure(project.root / "seven.npy", bank_through(SEVEN, FEW_MM), "active", MeasureOptions(**chosen))
+    assert told == [found]
