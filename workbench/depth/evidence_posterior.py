@@ -272,8 +272,8 @@ def summarise(
         start, stop = modes[int(order[1])]
         second = model.depth_mm(min(float(sigma[start + int(density[start:stop].argmax())]), model.farthest_px))
     mass = masses[int(order[0])]
-    # what holds 95 % may reach into another mode though this one holds as much
-    joined = any(low <= b - 1 and high >= a for a, b in modes if a != first)
+    # what holds 95 % may reach beyond this mode though it holds as much
+    joined = low <= first - 1 or high >= last
     status: Status = "ok" if mass >= options.ambiguous_below and not joined else "ambiguous"
     reason = ""
     if status == "ambiguous":
