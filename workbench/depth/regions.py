@@ -149,8 +149,9 @@ def edge_distance(mask: NDArray[np.bool_], *, frame_is_edge: bool = False) -> ND
     padded = np.pad(mask.astype(np.uint8), 1, constant_values=0 if frame_is_edge else 1)
     if padded.all():
         return np.full(mask.shape, np.inf, np.float32)
-    distance = cv2.distanceTransform(padded, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
-    return np.asarray(distance[1:-1, 1:-1], np.float32)
+    distance = cv2.distanceTransform(padded, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[1:-1, 1:-1]
+    # its last digits depend on OpenCV's threads and on luck; squares of distances between pixels are whole numbers
+    return np.asarray(np.sqrt(np.rint(distance * distance)), np.float32)
 
 
 def _reduced(planes: NDArray[np.float32], factor: int) -> NDArray[np.float32]:
