@@ -3,6 +3,7 @@ import numpy as np
 import pytest
 from drawings import as_image
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from workbench.depth.merging import absorb_small, merge_regions, region_means
 from workbench.depth.regions import SrmOptions, edge_distance, from_roi, inner, srm, whole
@@ -178,3 +179,16 @@ def test_given_regions() -> None:
 def test_options_out_of_range_are_refused_by_name(bad: dict[str, float]) -> None:
     with pytest.raises(ValueError, match=next(iter(bad))):
         SrmOptions(**bad)
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_distances_from_edges_are_exact_whatever_the_threads(threads: int) -> None:
+    y, x = np.mgrid[:300, :260]
+    mask = (np.hypot(y - 150, x - 120) < 110) & (np.hypot(y - 120, x - 140) > 17)
+    before = cv2.getNumThreads()
+    cv2.setNumThreads(threads)
+    try:
+        found = edge_distance(mask)
+    finally:
+        cv2.setNumThreads(before)
+    np.testing.assert_array_equal(found, ndimage.distance_transform_edt(mask).astype(np.float32))
