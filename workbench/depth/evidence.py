@@ -324,9 +324,8 @@ def _conclude(
     ]
     weighed = weight * likelihood
     finely = [Refined(part.radius_px, weight * part.log_likelihood) for part in refined]
-    sigma, log_post = signed_posterior(weighed, modes, far, near, model, options, finely)
     trust = trust_in_one_blur(seen.varied)
-    trusted = signed_posterior(weighed, modes, far, near, model, options, finely, trust)[1]
+    sigma, log_post, trusted = signed_posterior(weighed, modes, far, near, model, options, finely, trust)
     diagnostics = {
         "radius_px": model.row_radius_px,
         "log_likelihood": likelihood,

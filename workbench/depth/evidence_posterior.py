@@ -151,11 +151,16 @@ def signed_posterior(
     options: EvidenceOptions,
     refined: Sequence[Refined] = (),
     about_modes: float = 1.0,
-) -> tuple[FloatArray, FloatArray]:
-    """Unnormalised log posterior on a finer grid of signed radii, from the rows' and the modes' log-likelihoods.
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Unnormalised log posteriors on a finer grid of signed radii, from the rows' and the modes' log-likelihoods.
 
-    Between the modes the nearest one's sparseness holds. Where the likelihood was refined that replaces the rows'. What
-    it falls by from a mode to all that is nearest to it is multiplied by ``about_modes``; the modes keep their heights.
+    Between the modes the nearest one's sparseness holds. Where the likelihood was refined that replaces the rows'.
+
+    Returns
+    -------
+    sigma, log_post, log_trusted
+        float64 (G,) each. In the last one what the likelihood falls by from a mode to all that is nearest to it is
+        multiplied by ``about_modes``; the modes keep their heights.
     """
     nearest = np.abs(np.arange(log_rows.size)[:, np.newaxis] - np.array(modes)).argmin(axis=1)
     sigma = model.sigma_px
@@ -170,8 +175,9 @@ def signed_posterior(
     mode = nearest[model.row_of][closest]
     top = np.full(len(modes), -np.inf)
     np.maximum.at(top, mode, log_likelihood)
-    log_likelihood = top[mode] + about_modes * (log_likelihood - top[mode])
-    return fine, log_likelihood + side[closest] + log_prior(model, fine, options.prior_power)
+    trusted = top[mode] + about_modes * (log_likelihood - top[mode])
+    others = side[closest] + log_prior(model, fine, options.prior_power)
+    return fine, log_likelihood + others, trusted + others
 
 
 def log_prior(model: DepthModel, sigma_px: FloatArray, power: float) -> FloatArray:

@@ -61,10 +61,10 @@ def test_a_mode_keeps_its_height_however_much_it_is_trusted(bank: Bank) -> None:
     radius = model.row_radius_px
     rows = np.maximum(-((radius - radius[5]) ** 2), -3.0 - (radius - radius[20]) ** 2)
     sides = np.zeros(2), np.zeros(2)
-    sigma, plain = signed_posterior(rows, modes, *sides, model, options)
+    sigma, plain, _ = signed_posterior(rows, modes, *sides, model, options)
     heights, widths = [], []
     for trust in (0.5, 1.0, 2.0):
-        likelihood = signed_posterior(rows, modes, *sides, model, options, about_modes=trust)[1]
+        likelihood = signed_posterior(rows, modes, *sides, model, options, about_modes=trust)[2]
         likelihood = likelihood - log_prior(model, sigma, options.prior_power)
         heights.append([likelihood[np.abs(sigma - radius[mode]) < 0.5].max() for mode in modes])
         below = likelihood[np.abs(sigma - radius[5]).argmin()] - likelihood[np.abs(sigma - radius[5] - 0.6).argmin()]
