@@ -10,7 +10,7 @@ neighbours, each scaled to the radius in between.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal, Protocol
 
@@ -108,8 +108,12 @@ class PupilModel:
 
     def psf_at(self, depth_mm: float, size: int | None = None) -> NDArray[np.float32]:
         """PSF at any depth (mm), float32 (K, K) of unit sum, integrated over pixels; K is made odd."""
+        return self.psf_about(self.chief_yx(depth_mm), depth_mm, size)
+
+    def psf_about(self, chief_yx: Sequence[float], depth_mm: float, size: int | None = None) -> NDArray[np.float32]:
+        """The same with its chief ray at another place, relative to the centre pixel."""
         k = (size or self.size) | 1
-        dy, dx = self.chief_yx(depth_mm)
+        dy, dx = chief_yx
         picture = render(
             self.template,
             self.half_extent,
@@ -196,15 +200,14 @@ class PsfInterpolator:
 
     def psf_at(self, depth_mm: float, size: int | None = None) -> NDArray[np.float32]:
         """PSF at any depth (mm), float32 (K, K) of unit sum; beyond the ends the last plane is scaled."""
-        right = int(np.clip(np.searchsorted(self.depths_mm, depth_mm), 1, len(self.depths_mm) - 1))
-        u = 1.0 / self.depths_mm[[right - 1, right]]
-        share = float(np.clip((u[0] - 1.0 / depth_mm) / (u[0] - u[1]), 0.0, 1.0))
+        place = np.sum([share * self.chief_yx[index] for index, share in self._shares(depth_mm)], axis=0)
+        return self.psf_about(place, depth_mm, size)
+
+    def psf_about(self, chief_yx: FloatArray, depth_mm: float, size: int | None = None) -> NDArray[np.float32]:
+        """The same with its chief ray at another place, relative to the centre pixel."""
         k = (size or self.psf.shape[1]) | 1
-        parts = [
-            weight * self._scaled(index, self.radius_px(depth_mm), k)
-            for weight, index in ((1.0 - share, right - 1), (share, right))
-            if weight > _ENDS
-        ]
+        radius = self.radius_px(depth_mm)
+        parts = [share * self._scaled(index, radius, k, chief_yx) for index, share in self._shares(depth_mm)]
         blend = np.maximum(np.sum(parts, axis=0), 0.0)
         return np.asarray(blend / max(float(blend.sum()), 1e-12), np.float32)
 
@@ -212,19 +215,27 @@ class PsfInterpolator:
         """Side K that holds all of the PSF at a depth: that of the measured ones, and what scaling adds."""
         return int(self.psf.shape[1]) + 4
 
-    def _scaled(self, index: int, radius: float, size: int) -> FloatArray:
-        own = self.radius_px(float(self.depths_mm[index]))
+    def _shares(self, depth_mm: float) -> list[tuple[int, float]]:
+        """The measured neighbours of a depth, and what each counts for."""
+        right = int(np.clip(np.searchsorted(self.depths_mm, depth_mm), 1, len(self.depths_mm) - 1))
+        u = 1.0 / self.depths_mm[[right - 1, right]]
+        share = float(np.clip((u[0] - 1.0 / depth_mm) / (u[0] - u[1]), 0.0, 1.0))
+        return [(index, weight) for index, weight in ((right - 1, 1.0 - share), (right, share)) if weight > _ENDS]
+
+    def _scaled(self, index: int, radius: float, size: int, chief_yx: FloatArray) -> FloatArray:
+        there = self.radius_px(float(self.depths_mm[index]))
         # close to focus the core, which doesn't scale, is most of the PSF; a side never turns into the other
-        scale = float(np.clip(radius / own, 0.5, 2.0)) if own * radius > 0 and min(abs(own), abs(radius)) > 1.0 else 1.0
-        old, new = self.psf.shape[1] // 2, size // 2
-        dy, dx = self.chief_yx[index]
+        is_scaled = there * radius > 0 and min(abs(there), abs(radius)) > 1.0
+        scale = float(np.clip(radius / there, 0.5, 2.0)) if is_scaled else 1.0
+        old, half = self.psf.shape[1] // 2, size // 2
         fine = 3  # sub-pixels a side: area average of the scaled picture
-        grid = (np.arange(size * fine) - (size * fine - 1) / 2.0) / fine / scale
-        rows, columns = np.meshgrid(grid + old + dy * (1 - 1 / scale), grid + old + dx * (1 - 1 / scale), indexing="ij")
+        grid = (np.arange(size * fine) - (size * fine - 1) / 2.0) / fine
+        y, x = ((grid - new) / scale + old + own for new, own in zip(chief_yx, self.chief_yx[index], strict=True))
+        rows, columns = np.meshgrid(y, x, indexing="ij")
         picture = cv2.remap(
             self.psf[index], columns.astype(np.float32), rows.astype(np.float32), cv2.INTER_LINEAR, borderValue=0
         )
-        binned = picture.reshape(2 * new + 1, fine, 2 * new + 1, fine).mean(axis=(1, 3))
+        binned = picture.reshape(2 * half + 1, fine, 2 * half + 1, fine).mean(axis=(1, 3))
         return np.asarray(binned / max(float(binned.sum()), 1e-12), np.float64)
 
 
@@ -265,7 +276,7 @@ def fit_pupil(
     found, expected = np.array([s.radius_px for s in fit.spots]), lens.sigma_px(model.depths_mm)
     unit = float(found @ expected / (expected @ expected))
     model = replace(model, radius_line=(model.radius_line[0] * unit, model.radius_line[1] * unit))
-    return replace(model, residual=_residual(model, psf, psf_se))
+    return replace(model, residual=_residual(model, chief, psf, psf_se))
 
 
 def pupil_of_bank(bank: Bank, field_index: int | None = None) -> PupilModel:
@@ -287,7 +298,7 @@ def pupil_of_bank(bank: Bank, field_index: int | None = None) -> PupilModel:
     if index != bank.central_index:
         return fit_pupil(bank.depths_mm, psf, se, lens)  # off axis the lens barrel trims the pupil: its own picture
     model = _assemble(template, float(cores[index]), bank.depths_mm, chief, lens, psf.shape[1])
-    return replace(model, residual=_residual(model, psf, se))
+    return replace(model, residual=_residual(model, chief, psf, se))
 
 
 def psf_model(bank: Bank, field_index: int | None = None) -> PsfModel:
@@ -340,7 +351,7 @@ def interpolator_of_bank(bank: Bank, field_index: int) -> PsfInterpolator:
     for i in range(1, bank.depths_mm.size - 1):
         rest = np.delete(np.arange(bank.depths_mm.size), i)
         partial = PsfInterpolator(bank.depths_mm[rest], bank.psf[field_index][rest], line, places[rest])
-        predicted = partial.psf_at(float(bank.depths_mm[i]))
+        predicted = partial.psf_about(places[i], float(bank.depths_mm[i]))
         residual[i] = _misfit(predicted, bank.psf[field_index][i], bank.psf_se[field_index][i])
     residual[[0, -1]] = residual[[1, -2]]
     return replace(whole, residual=residual)
@@ -385,10 +396,12 @@ def _assemble(
     )
 
 
-def _residual(model: PupilModel, psf: NDArray[np.float32], psf_se: NDArray[np.float32]) -> FloatArray:
-    return np.array(
-        [_misfit(model.psf_at(float(z)), p, s) for z, p, s in zip(model.depths_mm, psf, psf_se, strict=True)]
-    )
+def _residual(
+    model: PupilModel, chief_yx: FloatArray, psf: NDArray[np.float32], psf_se: NDArray[np.float32]
+) -> FloatArray:
+    """What the model leaves of each measured PSF, drawn where that was found: a stage's sway is no error of the PSF."""
+    measured = zip(chief_yx, model.depths_mm, psf, psf_se, strict=True)
+    return np.array([_misfit(model.psf_about(place, float(z)), p, s) for place, z, p, s in measured])
 
 
 def _misfit(predicted: NDArray[np.float32], psf: NDArray[np.float32], se: NDArray[np.float32]) -> float:

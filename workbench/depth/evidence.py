@@ -335,10 +335,7 @@ def _conclude(
     }
     best_px = float(sigma[log_post.argmax()])
     finer = view_of(*views, int(np.abs(np.abs(model.row_radius_px) - abs(best_px)).argmin())).finer
-    is_ridged = bool(seen.view.fit.ridges)
-    se = least_error_px(
-        best_px, seen.line_share, finer, model, learned, is_ridged=is_ridged, outlines_found=outlines_found
-    )
+    se = least_error_px(best_px, seen.line_share, finer, model, learned, outlines_found=outlines_found)
     estimate = summarise(sigma, log_post, trusted, seen.covered, se, model, learned, options, diagnostics)
     if is_uneven:
         return estimate

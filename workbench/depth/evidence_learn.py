@@ -160,10 +160,7 @@ def _draw(bank: Bank, model: DepthModel, options: EvidenceOptions, generator: np
     error, curvature = peak_of(weighed, radius, peak)
     curvature *= trust_in_one_blur(seen.varied)
     finer = view_of(seen.view, seen.photosites, peak).finer
-    is_ridged = bool(seen.view.fit.ridges)
-    known = least_error_px(
-        sigma, seen.line_share, finer, model, Learned(floor_px=0.0), is_ridged=is_ridged, outlines_found=False
-    )
+    known = least_error_px(sigma, seen.line_share, finer, model, Learned(floor_px=0.0), outlines_found=False)
     return _Sample(weighed[modes], clues, possible, seen.pixels, true & possible, error - abs(sigma), curvature, known)
 
 

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import fft
 
 from calibration.bank import Bank
 from calibration.pupil import PsfModel, PupilModel, psf_model
+from workbench.depth.evidence_kernels import kernel_lags
 from workbench.depth.evidence_scan import TextureFactor
 from workbench.depth.evidence_side import SPARSENESS
 from workbench.depth.options import require
@@ -17,7 +17,7 @@ from workbench.depth.options import require
 FloatArray = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-LEARNED = "evidence_learned_4"
+LEARNED = "evidence_learned_5"
 """Name of :class:`Learned` among a bank's extras."""
 NATIVE_FINER = 2
 """Photosites a superpixel is wide."""
@@ -151,7 +151,7 @@ class Learned:
 
     spectral_weight: float = 1.0
     size_power: float = 0.25
-    floor_px: float = 0.03
+    floor_px: float = 0.015
     outlier: float = 0.003
     side_weights: tuple[float, ...] = (0.5, 0.2, 0.4, 0.1, 0.3, 0.2, 0.4, 0.1)
     mode_weights: tuple[float, ...] = (21.0, 7.0, 0.0, 35.0)
@@ -257,7 +257,8 @@ class DepthModel:
 
     def lags_at(self, sigma_px: FloatArray, finer: int = 1) -> NDArray[np.float32]:
         """Autocorrelations like ``kernel_lags`` for any signed radii, float32 (n, 2 L + 1, 2 L + 1)."""
-        return np.stack([_autocorrelation(self.psf_at(float(sigma), finer), self.psf_error) for sigma in sigma_px])
+        psfs, lags = self._at_pitch(finer)
+        return kernel_lags(psfs, _depths_of(self.psfs, sigma_px), (lags.shape[1] + 1) // 2, self.psf_error)
 
     def _at_pitch(self, finer: int) -> tuple[PsfModel, NDArray[np.float32]]:
         if finer == 1:
@@ -288,7 +289,7 @@ def prepare(bank: Bank, options: EvidenceOptions, field_index: int | None = None
     depths = _depths_of(psfs, np.minimum(sigma, _farthest_px(psfs)))
     size = (int(bank.psf.shape[2]) + 4) | 1
     error = float(np.clip(np.nanmedian(psfs.residual), 0.01, 0.2))
-    lags = _all_lags(psfs, _depths_of(psfs, rows), size, error)
+    lags = kernel_lags(psfs, _depths_of(psfs, rows), size, error)
     lens = bank.lens
     se = np.hypot(lens.scale_se_px * (1.0 - lens.focus_mm / depths), lens.scale_px * lens.focus_se_mm / depths)
     native = None
@@ -302,17 +303,7 @@ def _prepare_native(psfs: PupilModel, depths_mm: FloatArray, reach_px: float, er
         return None
     finer = psfs.finer(NATIVE_FINER)
     size = int(np.ceil(2 * NATIVE_FINER * (reach_px + _AROUND_PX)))
-    return NativeModel(finer, _all_lags(finer, depths_mm, size | 1, error))
-
-
-def _all_lags(psfs: PsfModel, depths_mm: FloatArray, size: int, error: float) -> NDArray[np.float32]:
-    """Autocorrelations of the PSFs at these depths, float32 (n, 2 size - 1, 2 size - 1); small PSFs on few pixels."""
-    lags = np.zeros((depths_mm.size, 2 * size - 1, 2 * size - 1), np.float32)
-    for row, depth_mm in enumerate(depths_mm):
-        side = min(size, psfs.side_px(float(depth_mm)))
-        part = slice(size - side, size + side - 1)
-        lags[row, part, part] = _autocorrelation(psfs.psf_at(float(depth_mm), side), error)
-    return lags
+    return NativeModel(finer, kernel_lags(finer, depths_mm, size | 1, error))
 
 
 def _farthest_px(psfs: PsfModel) -> float:
@@ -323,16 +314,6 @@ def _depths_of(psfs: PsfModel, sigma_px: FloatArray | np.float64) -> FloatArray:
     """Depths (mm) of signed radii, which are linear in 1/z."""
     far, near = psfs.radius_px(1e12), psfs.radius_px(1.0)
     return np.asarray((near - far) / (sigma_px - far), np.float64)
-
-
-def _autocorrelation(psf: NDArray[np.float32], error: float) -> NDArray[np.float32]:
-    k = psf.shape[0]
-    size = fft.next_fast_len(2 * k, real=True)
-    lags = fft.irfft2(np.abs(fft.rfft2(psf.astype(np.float64), s=(size, size))) ** 2, s=(size, size))
-    index = np.arange(-(k - 1), k) % size
-    lags = lags[np.ix_(index, index)]
-    lags[k - 1, k - 1] *= 1.0 + error**2  # the PSF's own error, white for want of better knowledge
-    return np.asarray(lags, np.float32)
 
 
 def learned_of(bank: Bank) -> Learned:

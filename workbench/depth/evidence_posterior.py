@@ -19,17 +19,15 @@ Mask = NDArray[np.bool_]
 
 _FINER, _BETWEEN = 16, 8
 """The posterior's grid is finer than the likelihood's by this factor; its interval ends at such parts of a step."""
-_SOFTNESS_PX, _SOFTNESS_RANGE_PX = 0.17, {1: 3.0, NATIVE_FINER: 2.0}
+_SOFTNESS_PX, _SOFTNESS_RANGE_PX = 0.10, {1: 2.7, NATIVE_FINER: 1.8}
 """Close to focus a small blur and a texture that is itself a little soft or crisp look alike: standard error of the
 radius at focus, and the one over which it falls to 1/e (as a Gaussian), by how fine the pixels are. Measured on
 textures rendered by the simulated rig and by a ray tracer."""
-_LINES_PX, _LINES_FROM = 0.3, 0.1
+_LINES_PX, _LINES_FROM = 0.25, 0.1
 """A pattern's few spectral lines have heights of their own, which pass for blur: standard error of the radius per share
 of the texture's power that they hold beyond so much."""
-_RIDGED_PX = 0.035
-"""Standard error of the radius by what ridges of a form given beforehand miss of a texture's edges."""
 _FOUND_PX = 0.07
-"""The same by what neighbours leave in a region whose outline was found, not drawn."""
+"""Standard error of the radius by what neighbours leave in a region whose outline was found, not drawn."""
 
 _NEGATIVE_SHARE, _NEGATIVE_NATS, _MOST_NEGATIVE_NATS = 0.02, 1.6, 6.0
 """Of the true blurs of 1023 regions, simulated and ray-traced, one in a hundred leaves more than 5 % of the contrast to
@@ -197,7 +195,6 @@ def least_error_px(
     model: DepthModel,
     learned: Learned,
     *,
-    is_ridged: bool,
     outlines_found: bool,
 ) -> float:
     """Standard error (px) of a signed radius by what the likelihood doesn't know of.
@@ -212,17 +209,13 @@ def least_error_px(
         Pixels a superpixel is wide, in the view that the radius was read from.
     model, learned
         The bank, made ready: standard errors of its lens fit, and the error that no evidence undercuts.
-    is_ridged
-        Whether the texture has ridges.
     outlines_found
         Whether the region's outline was found in the photograph.
     """
     soft = _SOFTNESS_PX * float(np.exp(-((sigma_px / _SOFTNESS_RANGE_PX[finer]) ** 2)))
     lens = float(np.interp(sigma_px, model.sigma_px, model.sigma_se_px))
     lines = _LINES_PX * max(0.0, line_share - _LINES_FROM)
-    return float(
-        np.linalg.norm([learned.floor_px, soft, lens, lines, _RIDGED_PX * is_ridged, _FOUND_PX * outlines_found])
-    )
+    return float(np.linalg.norm([learned.floor_px, soft, lens, lines, _FOUND_PX * outlines_found]))
 
 
 def summarise(

@@ -27,8 +27,8 @@ from workbench.depth.evidence_scan import TextureFactor, likelihood_tables, nois
 FloatArray = NDArray[np.float64]
 Float32 = NDArray[np.float32]
 
-_SLOPE, _SLOPE_SD = -2.4, 0.8
-"""Expected fall of log power with log frequency, over all knots; amplitudes of scenes fall as 1/f (Field 1987)."""
+EXPECTED_SLOPE, _SLOPE_SD = -2.4, 0.8
+"""Of log power over log frequency, over all knots; amplitudes of scenes fall as 1/f (Field 1987)."""
 _BEND_SD = 0.8
 """Expected change of that slope from knot to knot, times the knots' distance."""
 _DIRECTION_SD = 0.8
@@ -190,7 +190,7 @@ def _prior(width: int, log_knots: FloatArray, ridges: int) -> tuple[FloatArray, 
     slope = np.zeros(width)
     slope[[0, knots - 1]] = np.array([-1.0, 1.0]) / (log_knots[-1] - log_knots[0]) / _SLOPE_SD
     rows.append(slope)
-    values.append(_SLOPE / _SLOPE_SD)
+    values.append(EXPECTED_SLOPE / _SLOPE_SD)
     for j in range(1, knots - 1):
         bend = np.zeros(width)
         bend[j - 1 : j + 2] = np.array([1.0, -2.0, 1.0]) / _BEND_SD

@@ -58,6 +58,12 @@ def with_pupil(bank: Bank) -> Bank:
     return replace(bank, extras=pupil.as_arrays())
 
 
+def holds(interval_mm: tuple[float, float], depth_mm: float) -> bool:
+    """Whether a depth is in an interval, but for 0.02 px: textures drawn on pixels alias as no photograph does."""
+    low, high = (radius_px(end) for end in interval_mm)
+    return 0 < interval_mm[0] < interval_mm[1] and low - 0.02 <= radius_px(depth_mm) <= high + 0.02
+
+
 def leaves(side: int, seed: int) -> NDArray[np.float64]:
     generator = np.random.default_rng(seed)
     canvas = np.full((2 * side, 2 * side), 0.4, np.float32)

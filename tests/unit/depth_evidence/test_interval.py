@@ -115,15 +115,15 @@ def test_bank_without_a_range_of_blurs_changes_no_width() -> None:
 def test_errors_that_the_likelihood_does_not_know_add_in_quadrature(bank: Bank) -> None:
     model, learned = prepare(bank, EvidenceOptions()), Learned()
 
-    def error(sigma_px: float = 8.0, line_share: float = 0.0, *, ridged: bool = False, found: bool = False) -> float:
-        return least_error_px(sigma_px, line_share, 1, model, learned, is_ridged=ridged, outlines_found=found)
+    def error(sigma_px: float = 8.0, line_share: float = 0.0, *, found: bool = False) -> float:
+        return least_error_px(sigma_px, line_share, 1, model, learned, outlines_found=found)
 
     plain = error()
     assert plain == pytest.approx(np.hypot(learned.floor_px, model.sigma_se_px[0]), abs=0.01)
-    ridged, found, both = error(ridged=True), error(found=True), error(ridged=True, found=True)
-    assert both**2 - plain**2 == pytest.approx(ridged**2 + found**2 - 2 * plain**2)
+    lines, found, both = error(line_share=0.3), error(found=True), error(line_share=0.3, found=True)
+    assert both**2 - plain**2 == pytest.approx(lines**2 + found**2 - 2 * plain**2)
     assert error(line_share=0.6) > error(line_share=0.3) > plain == error(line_share=0.05)
-    assert error(sigma_px=0.3) > 0.15 > error(sigma_px=3.0)
+    assert error(sigma_px=0.3) > 3 * error(sigma_px=5.0)
 
 
 def test_outlines_that_were_found_widen_the_interval_and_move_nothing(bank: Bank) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -14,6 +16,7 @@ from calibration.pupil import (
     fit_pupil,
     interpolator_of_bank,
     psf_model,
+    pupil_of_bank,
 )
 from tests.unit.depth_evidence.synthetic import draw_psf, make_bank
 
@@ -70,6 +73,21 @@ def test_outline_that_changes_with_depth_falls_back_to_interpolation(bank: Bank)
     assert np.median(pupil.residual) > 0.15
     blend = PsfInterpolator(broken.depths_mm, broken.psf[0], (13.0, -20800.0), np.zeros((broken.depths_mm.size, 2)))
     np.testing.assert_allclose(blend.psf_at(float(broken.depths_mm[1])), psf[0, 1].clip(0), atol=5e-3)
+
+
+def test_a_stage_that_sways_is_no_error_of_the_psf(bank: Bank) -> None:
+    """Windows are cut about whole pixels: places jump from plane to plane, shapes stay."""
+    places = np.array([(i % 3 - 1, i % 2) for i in range(bank.depths_mm.size)])
+    psf = np.array([[np.roll(p, place, axis=(0, 1)) for p, place in zip(bank.psf[0], places, strict=True)]])
+    plain, swaying = (
+        replace(bank, psf=planes, extras={"chief_yx": chief[np.newaxis].astype(np.float64)})
+        for planes, chief in ((bank.psf, np.zeros_like(places)), (psf, places))
+    )
+    for model_of in (pupil_of_bank, lambda bank: interpolator_of_bank(bank, 0)):
+        np.testing.assert_allclose(model_of(swaying).residual, model_of(plain).residual, rtol=0.1, atol=1e-3)
+    between, still = (interpolator_of_bank(each, 0) for each in (swaying, plain))
+    lost = misfit(between.psf_about(np.zeros(2), 900.0), draw_psf(900.0))
+    assert lost == pytest.approx(misfit(still.psf_at(900.0), draw_psf(900.0)), rel=0.02)
 
 
 def test_where_psfs_between_the_planes_come_from_is_told(bank: Bank) -> None:
