@@ -50,11 +50,7 @@ def bank_at(bank: Bank, place_yx: tuple[float, float]) -> Bank:
             psf[d] += weights[f, d] * _moved(bank.psf[f, d], move)
             se[d] += (weights[f, d] * _moved(bank.psf_se[f, d], move)) ** 2
     psf /= psf.sum(axis=(1, 2), keepdims=True)
-    extras = {
-        name: array
-        for name, array in bank.extras.items()
-        if name not in _CENTRAL_ONLY and not name.startswith("pupil_")  # off axis the pupil is another
-    }
+    extras = {name: array for name, array in bank.extras.items() if name not in _CENTRAL_ONLY}
     extras["chief_yx"] = chief[main, np.arange(main.size)][np.newaxis]
     lens = bank.lens
     radii = bank.extras.get("field_radius_px")

@@ -10,9 +10,9 @@ neighbours, each scaled to the radius in between.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal, Protocol
+from typing import Literal, Protocol
 
 import cv2
 import numpy as np
@@ -36,10 +36,9 @@ __all__ = [
 
 FloatArray = NDArray[np.float64]
 
-GOOD_RESIDUAL = 0.15
+GOOD_RESIDUAL = 0.06
 """A pupil model whose median residual (root of residual power over the PSF's power, noise removed) is larger than
 this describes the bank worse than blending neighbours does."""
-_PREFIX = "pupil_"
 _ENDS = 1e-9
 _CORES = 6.0
 """Standard deviations of the core beyond which nothing of it is left."""
@@ -111,7 +110,7 @@ class PupilModel:
         return self.psf_about(self.chief_yx(depth_mm), depth_mm, size)
 
     def psf_about(self, chief_yx: Sequence[float], depth_mm: float, size: int | None = None) -> NDArray[np.float32]:
-        """The same with its chief ray at another place, relative to the centre pixel."""
+        """The same with its chief ray's (row, column), in px relative to the centre pixel, elsewhere."""
         k = (size or self.size) | 1
         dy, dx = chief_yx
         picture = render(
@@ -136,38 +135,6 @@ class PupilModel:
             self, radius_line=line, core_px=self.core_px * factor, chief_line=self.chief_line * factor,
             size=self.size * factor,
         )  # fmt: skip
-
-    def as_arrays(self) -> dict[str, NDArray[Any]]:
-        """Plain arrays by name, for a bank's extras."""
-        numbers = np.array([self.half_extent, *self.radius_line, self.core_px, *self.chief_line.ravel(), self.size])
-        values = {
-            "template": self.template,
-            "numbers": numbers,
-            "depths_mm": self.depths_mm,
-            "residual": self.residual,
-        }
-        return {_PREFIX + name: np.asarray(value, np.float64) for name, value in values.items()}
-
-    @classmethod
-    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> PupilModel:
-        """Inverse of :meth:`as_arrays`; other names are ignored.
-
-        Raises
-        ------
-        KeyError
-            An array is missing.
-        """
-        numbers = np.asarray(arrays[_PREFIX + "numbers"], np.float64)
-        return cls(
-            template=np.asarray(arrays[_PREFIX + "template"], np.float64),
-            half_extent=float(numbers[0]),
-            radius_line=(float(numbers[1]), float(numbers[2])),
-            core_px=float(numbers[3]),
-            chief_line=numbers[4:8].reshape(2, 2),
-            size=int(numbers[8]),
-            depths_mm=np.asarray(arrays[_PREFIX + "depths_mm"], np.float64),
-            residual=np.asarray(arrays[_PREFIX + "residual"], np.float64),
-        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -203,8 +170,8 @@ class PsfInterpolator:
         place = np.sum([share * self.chief_yx[index] for index, share in self._shares(depth_mm)], axis=0)
         return self.psf_about(place, depth_mm, size)
 
-    def psf_about(self, chief_yx: FloatArray, depth_mm: float, size: int | None = None) -> NDArray[np.float32]:
-        """The same with its chief ray at another place, relative to the centre pixel."""
+    def psf_about(self, chief_yx: Sequence[float], depth_mm: float, size: int | None = None) -> NDArray[np.float32]:
+        """The same with its chief ray's (row, column), in px relative to the centre pixel, elsewhere."""
         k = (size or self.psf.shape[1]) | 1
         radius = self.radius_px(depth_mm)
         parts = [share * self._scaled(index, radius, k, chief_yx) for index, share in self._shares(depth_mm)]
@@ -222,7 +189,7 @@ class PsfInterpolator:
         share = float(np.clip((u[0] - 1.0 / depth_mm) / (u[0] - u[1]), 0.0, 1.0))
         return [(index, weight) for index, weight in ((right - 1, 1.0 - share), (right, share)) if weight > _ENDS]
 
-    def _scaled(self, index: int, radius: float, size: int, chief_yx: FloatArray) -> FloatArray:
+    def _scaled(self, index: int, radius: float, size: int, chief_yx: Sequence[float]) -> FloatArray:
         there = self.radius_px(float(self.depths_mm[index]))
         # close to focus the core, which doesn't scale, is most of the PSF; a side never turns into the other
         is_scaled = there * radius > 0 and min(abs(there), abs(radius)) > 1.0
@@ -287,8 +254,6 @@ def pupil_of_bank(bank: Bank, field_index: int | None = None) -> PupilModel:
     """
     index = bank.central_index if field_index is None else field_index
     psf, se = bank.psf[index], bank.psf_se[index]
-    if _PREFIX + "numbers" in bank.extras and index == bank.central_index:
-        return PupilModel.from_arrays(bank.extras)
     lens = _lens_of(bank, index)
     cores = bank.manifest.get("aperture", {}).get("core_px")
     if "aperture" not in bank.extras or "chief_yx" not in bank.extras or not cores:

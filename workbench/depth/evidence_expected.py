@@ -19,7 +19,8 @@ def smeared_power(kernel_lags: Float32, taper_lags: FloatArray, size: int) -> Fl
     Parameters
     ----------
     kernel_lags
-        float32 (D, 2 L + 1, 2 L + 1): autocorrelation of each PSF.
+        float32 (D, 2 L + 1, 2 L + 1): autocorrelation that each blur leaves
+        (:func:`~workbench.depth.evidence_kernels.kernel_lags`).
     taper_lags
         float64 (2 L + 1, 2 L + 1).
     size

@@ -1,6 +1,7 @@
 """Learn how much each clue counts, from the bank alone.
 
-Generated textures are blurred by the bank's own PSF model at random depths, with random light and noise, and measured.
+Generated textures are blurred by the bank's own PSF model at random depths, twice as fine as the pixels where that can
+be drawn, with random light and noise, and measured.
 The weights are those under which the true depth is most probable among the candidates (a conditional logit, McFadden
 1974), held near the defaults by a Gaussian prior; the radius's least standard error is set so that 95 % of the
 intervals hold. Blurring with the bank's own PSFs says nothing about accuracy, which is measured elsewhere; it shows
@@ -18,6 +19,7 @@ from scipy.special import logsumexp
 
 from calibration.bank import Bank
 from workbench.depth.evidence import observe
+from workbench.depth.evidence_kernels import drawn_finer
 from workbench.depth.evidence_model import LEARNED, DepthModel, EvidenceOptions, Learned, prepare
 from workbench.depth.evidence_posterior import find_modes, least_error_px, mode_scores, peak_of
 from workbench.depth.evidence_side import FAMILIES, SPARSENESS, Comparison
@@ -53,7 +55,7 @@ class _Sample:
     curvature: float
     """Of the log-likelihood there as far as it is trusted, per px^2."""
     known_px: float
-    """Standard error of the radius that is known without a floor: softness, lens, lines, ridges."""
+    """Standard error of the radius that is known without a floor: softness, lens, lines."""
 
 
 def learn(bank: Bank, seed: int = 0, samples: int = SAMPLES) -> dict[str, NDArray[np.float64]]:
@@ -138,7 +140,7 @@ def _draw(bank: Bank, model: DepthModel, options: EvidenceOptions, generator: np
     reach = min(high - focus, focus - low)
     span = (focus - reach, focus + reach) if generator.random() < 0.5 and reach > 0.05 * (high - low) else (low, high)
     depth_mm = float(1.0 / generator.uniform(*span))
-    plane = _photograph(side, model.psfs.psf_at(depth_mm), generator)
+    plane = _photograph(side, model, depth_mm, generator)
     seen = observe(plane, np.ones(plane.shape, np.bool_), model, options, as_one=True)
     if seen is None or seen.likelihood.max() - seen.view.fit.null < options.least_evidence:
         return None
@@ -164,9 +166,10 @@ def _draw(bank: Bank, model: DepthModel, options: EvidenceOptions, generator: np
     return _Sample(weighed[modes], clues, possible, seen.pixels, true & possible, error - abs(sigma), curvature, known)
 
 
-def _photograph(side: int, psf: NDArray[np.float32], generator: np.random.Generator) -> NDArray[np.float32]:
-    """A generated texture blurred by a PSF, with shot and white noise of random strength; float32 (side, side)."""
-    image = blurred_texture(side, psf, generator)
+def _photograph(side: int, model: DepthModel, depth_mm: float, generator: np.random.Generator) -> NDArray[np.float32]:
+    """A generated texture at a depth, with shot and white noise of random strength; float32 (side, side)."""
+    psfs, finer = drawn_finer(model.psfs)
+    image = blurred_texture(side, psfs.psf_at(depth_mm), generator, finer)
     shot, white = np.exp(generator.uniform(np.log([1e-3, 3e-4]), np.log([6e-3, 4e-3])))
     deviation = np.hypot(white, shot * np.sqrt(np.maximum(image, 0.0)))
     return np.asarray(image + deviation * generator.standard_normal(image.shape), np.float32)

@@ -184,7 +184,8 @@ class NativeModel:
     psfs
         PSF at any depth, on photosites.
     kernel_lags
-        float32 (n, 2 L + 1, 2 L + 1): autocorrelations of the first n rows of the :class:`DepthModel`.
+        float32 (n, 2 L + 1, 2 L + 1): :func:`~workbench.depth.evidence_kernels.kernel_lags` of the first n rows of the
+        :class:`DepthModel`.
     """
 
     psfs: PupilModel
@@ -212,7 +213,7 @@ class DepthModel:
     row_sigma_px
         float64 (R,): signed radius whose PSF made the row.
     kernel_lags
-        float32 (R, 2 L + 1, 2 L + 1): autocorrelations of the PSFs, their error included.
+        float32 (R, 2 L + 1, 2 L + 1): :func:`~workbench.depth.evidence_kernels.kernel_lags` of the rows' PSFs.
     sigma_se_px
         float64 (G,): standard error of the radius from the lens fit.
     """
@@ -268,7 +269,7 @@ class DepthModel:
 
 
 def prepare(bank: Bank, options: EvidenceOptions, field_index: int | None = None) -> DepthModel:
-    """Compute the autocorrelations of a bank's PSFs on a fine grid of radii.
+    """Compute what a bank's blurs leave of a texture, on a fine grid of radii.
 
     The grid reaches half a pixel of radius beyond the bank's planes, so that a depth at their end has two sides.
     """

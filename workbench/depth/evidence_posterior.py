@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.special import expit
 
+from calibration.pupil import PupilModel
 from workbench.depth.estimate import DepthEstimate, Status
 from workbench.depth.evidence_model import NATIVE_FINER, DepthModel, EvidenceOptions, Learned
 from workbench.depth.evidence_side import Comparison
@@ -21,13 +22,15 @@ _FINER, _BETWEEN = 16, 8
 """The posterior's grid is finer than the likelihood's by this factor; its interval ends at such parts of a step."""
 _SOFTNESS_PX, _SOFTNESS_RANGE_PX = 0.10, {1: 2.7, NATIVE_FINER: 1.8}
 """Close to focus a small blur and a texture that is itself a little soft or crisp look alike: standard error of the
-radius at focus, and the one over which it falls to 1/e (as a Gaussian), by how fine the pixels are. Measured on
-textures rendered by the simulated rig and by a ray tracer."""
+radius at focus, and the one over which it falls to 1/e (as a Gaussian), by how fine the pixels are. Fitted to textures
+rendered by the simulated rig, looked at on ray-traced ones."""
 _LINES_PX, _LINES_FROM = 0.25, 0.1
 """A pattern's few spectral lines have heights of their own, which pass for blur: standard error of the radius per share
 of the texture's power that they hold beyond so much."""
 _FOUND_PX = 0.07
 """Standard error of the radius by what neighbours leave in a region whose outline was found, not drawn."""
+_SAMPLED_PX = 0.06
+"""The same by aliases, where PSFs are interpolated as they were sampled (:mod:`workbench.depth.evidence_kernels`)."""
 
 _NEGATIVE_SHARE, _NEGATIVE_NATS, _MOST_NEGATIVE_NATS = 0.02, 1.6, 6.0
 """Of the true blurs of 1023 regions, simulated and ray-traced, one in a hundred leaves more than 5 % of the contrast to
@@ -215,7 +218,8 @@ def least_error_px(
     soft = _SOFTNESS_PX * float(np.exp(-((sigma_px / _SOFTNESS_RANGE_PX[finer]) ** 2)))
     lens = float(np.interp(sigma_px, model.sigma_px, model.sigma_se_px))
     lines = _LINES_PX * max(0.0, line_share - _LINES_FROM)
-    return float(np.linalg.norm([learned.floor_px, soft, lens, lines, _FOUND_PX * outlines_found]))
+    sampled = 0.0 if isinstance(model.psfs, PupilModel) else _SAMPLED_PX
+    return float(np.linalg.norm([learned.floor_px, soft, lens, lines, sampled, _FOUND_PX * outlines_found]))
 
 
 def summarise(

@@ -28,7 +28,8 @@ FloatArray = NDArray[np.float64]
 Float32 = NDArray[np.float32]
 
 EXPECTED_SLOPE, _SLOPE_SD = -2.4, 0.8
-"""Of log power over log frequency, over all knots; amplitudes of scenes fall as 1/f (Field 1987)."""
+"""Expected slope of log power over log frequency, over all knots, and its spread; amplitudes of scenes fall as 1/f
+(Field 1987)."""
 _BEND_SD = 0.8
 """Expected change of that slope from knot to knot, times the knots' distance."""
 _DIRECTION_SD = 0.8

@@ -20,30 +20,38 @@ _FINER = 2
 """Drawn this many times finer and averaged, so that edges are not aligned to pixels."""
 
 
-def random_texture(side: int, generator: Generator) -> Float32:
-    """One texture, float32 (side, side), values about 0 to 1, of random kind, size, direction and contrast."""
+def random_texture(side: int, generator: Generator, finer: int = 1) -> Float32:
+    """One texture of random kind, size, direction and contrast, values about 0 to 1.
+
+    float32 (finer * side, finer * side): ``finer``, 1 or 2, of its samples make a pixel's side.
+    """
     kind = KINDS[int(generator.integers(len(KINDS)))]
     drawn = kind(side * _FINER, generator)
     if generator.random() < 0.5:
         turn = cv2.getRotationMatrix2D((side, side), float(generator.uniform(0, 360)), 1.0)
         shape = (side * _FINER, side * _FINER)
         drawn = np.asarray(cv2.warpAffine(drawn, turn, shape, borderMode=cv2.BORDER_REFLECT_101), np.float32)
-    texture = cv2.resize(drawn, (side, side), interpolation=cv2.INTER_AREA)
+    samples = finer * side
+    texture = cv2.resize(drawn, (samples, samples), interpolation=cv2.INTER_AREA)
     texture = texture - float(texture.mean())
     contrast = float(np.exp(generator.uniform(np.log(0.02), np.log(0.35))))
     spread = float(texture.std())
-    shading = _grain(side, generator, 2.0) * generator.uniform(0.0, 0.05)
-    grain = _grain(side, generator, float(generator.uniform(0.3, 1.2))) * contrast * generator.uniform(0.0, 0.15)
+    shading = _grain(samples, generator, 2.0) * generator.uniform(0.0, 0.05)
+    grain = _grain(samples, generator, float(generator.uniform(0.3, 1.2))) * contrast * generator.uniform(0.0, 0.15)
     return np.asarray(0.45 + texture * (contrast / max(spread, 1e-6)) + grain + shading, np.float32)
 
 
-def blurred_texture(side: int, psf: Float32, generator: Generator) -> Float32:
-    """A :func:`random_texture` blurred by a PSF (float32 (K, K), K odd), float32 (side, side); no noise."""
-    half = psf.shape[0] // 2
-    texture = random_texture(side + 2 * half, generator)
-    size = fft.next_fast_len(side + 4 * half, real=True)
+def blurred_texture(side: int, psf: Float32, generator: Generator, finer: int = 1) -> Float32:
+    """A :func:`random_texture` blurred by a PSF and summed in pixels, float32 (side, side); no noise.
+
+    The PSF, float32 (K, K), K odd, is sampled ``finer`` times, 1 or 2, as densely as the pixels.
+    """
+    half, inner = psf.shape[0] // 2, finer * side
+    texture = random_texture(side + 2 * -(-half // finer), generator, finer)
+    size = fft.next_fast_len(texture.shape[0] + 2 * half, real=True)
     blurred = fft.irfft2(fft.rfft2(texture, s=(size, size)) * fft.rfft2(psf, s=(size, size)), s=(size, size))
-    return np.asarray(blurred[2 * half : 2 * half + side, 2 * half : 2 * half + side], np.float32)
+    light = np.asarray(blurred[2 * half : 2 * half + inner, 2 * half : 2 * half + inner], np.float32)
+    return np.asarray(cv2.resize(light, (side, side), interpolation=cv2.INTER_AREA), np.float32)
 
 
 def _grain(side: int, generator: Generator, fall: float) -> Float32:

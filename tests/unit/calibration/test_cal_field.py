@@ -72,7 +72,7 @@ def test_points_that_form_no_grid_give_the_nearest_set() -> None:
 
 
 def test_what_was_learned_of_the_axis_pupil_is_not_used_off_axis() -> None:
-    extras = {"aperture": np.ones((3, 3)), "pupil_numbers": np.ones(3), "evidence_learned": np.ones(2)}
+    extras = {"aperture": np.ones((3, 3)), "evidence_learned": np.ones(2)}
     assert set(bank_at(field_bank(SQUARE, **extras), (0.5, 0.5)).extras) == {"evidence_learned", "chief_yx"}
 
 

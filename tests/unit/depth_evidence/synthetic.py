@@ -13,7 +13,7 @@ from calibration.bank import Bank
 from calibration.image import FrameInfo, LinearImage
 from calibration.lens_fit import fit_lens
 from calibration.mosaic import Mosaic, superpixels
-from calibration.pupil import fit_pupil
+from calibration.template import Spot, fit_spots
 
 FOCUS_MM, SCALE_PX, HALF = 1600.0, 13.0, 20
 OUTLINE = np.array([[-4.7, -5.2], [4.7, -5.2], [4.7, -2.9], [0.2, 5.2], [-2.7, 5.2], [1.7, -2.9], [-4.7, -2.9]]) / 7.0
@@ -24,14 +24,14 @@ def radius_px(depth_mm: float) -> float:
     return SCALE_PX * (1.0 - FOCUS_MM / depth_mm)
 
 
-def draw_psf(depth_mm: float, finer: int = 16, *, per_superpixel: int = 1) -> NDArray[np.float64]:
-    """PSF on superpixels, or on the photosites that are so many a superpixel."""
-    side = 2 * HALF + 1
+def draw_psf(depth_mm: float, finer: int = 16, *, per_superpixel: int = 1, half: int = HALF) -> NDArray[np.float64]:
+    """PSF (2 half + 1, 2 half + 1) on superpixels, or on the photosites that are so many a superpixel."""
+    side = 2 * half + 1
     canvas = np.zeros((side * finer, side * finer), np.uint8)
     # a spot of 0.4 px at least, as every real lens makes
     size = radius_px(depth_mm)
     size = (size if abs(size) > 0.4 else 0.4) * per_superpixel
-    corners = ((OUTLINE * size + HALF + 0.5) * finer - 0.5) * 256
+    corners = ((OUTLINE * size + half + 0.5) * finer - 0.5) * 256
     cv2.fillPoly(canvas, [np.rint(corners).astype(np.int32)], 255, shift=8)
     psf = canvas.reshape(side, finer, side, finer).mean(axis=(1, 3)).astype(np.float64)
     return psf / psf.sum()
@@ -53,15 +53,14 @@ def make_bank(step_mm: float = 100.0, depths_mm: NDArray[np.float64] | None = No
 
 
 def with_pupil(bank: Bank) -> Bank:
-    """The same bank, a model of the aperture fitted to its PSFs."""
-    pupil = fit_pupil(bank.depths_mm, bank.psf[0], bank.psf_se[0], bank.lens)
-    return replace(bank, extras=pupil.as_arrays())
-
-
-def holds(interval_mm: tuple[float, float], depth_mm: float) -> bool:
-    """Whether a depth is in an interval, but for 0.02 px: textures drawn on pixels alias as no photograph does."""
-    low, high = (radius_px(end) for end in interval_mm)
-    return 0 < interval_mm[0] < interval_mm[1] and low - 0.02 <= radius_px(depth_mm) <= high + 0.02
+    """The same bank, holding the aperture's picture and the chief rays that its PSFs show, as a calibration stores."""
+    spots = [Spot(p, s) for p, s in zip(bank.psf[0].astype(np.float64), bank.psf_se[0].astype(np.float64), strict=True)]
+    fit = fit_spots(spots, 1.0 / bank.depths_mm)
+    chief = np.array([[(spot.centre_y - HALF, spot.centre_x - HALF) for spot in fit.spots]])
+    radii = np.array([spot.radius_px for spot in fit.spots])  # in radii of the circle about the picture's outline
+    lens = fit_lens(bank.depths_mm, radii, np.full(radii.size, 0.02), apply_zero=False)
+    manifest = {**bank.manifest, "aperture": {"core_px": [fit.core_px]}}
+    return replace(bank, lens=lens, manifest=manifest, extras={"aperture": fit.template, "chief_yx": chief})
 
 
 def leaves(side: int, seed: int) -> NDArray[np.float64]:
@@ -75,8 +74,13 @@ def leaves(side: int, seed: int) -> NDArray[np.float64]:
 
 
 def photograph(texture: NDArray[np.float64], depth_mm: float, *, noise: float = 0.003, seed: int = 1) -> LinearImage:
-    """Blur, cut off what the border spoils, add noise; three equal channels."""
-    inner = blurred(texture, draw_psf(depth_mm))
+    """Blur, cut off what the border spoils, add noise; three equal channels.
+
+    The texture is one of superpixels, smooth between them: light has all frequencies before the pixels see it.
+    """
+    smooth = cv2.resize(texture, None, fx=2.0, fy=2.0, interpolation=cv2.INTER_CUBIC)
+    light = blurred(smooth, draw_psf(depth_mm, per_superpixel=2, half=2 * HALF))
+    inner = light.reshape(light.shape[0] // 2, 2, light.shape[1] // 2, 2).mean(axis=(1, 3))
     generator = np.random.default_rng(seed)
     planes = inner[..., np.newaxis] + noise * generator.standard_normal((*inner.shape, 3))
     return as_image(planes.astype(np.float32))
@@ -93,9 +97,10 @@ def photograph_mosaic(texture: NDArray[np.float64], depth_mm: float, *, seed: in
 
 def blurred(texture: NDArray[np.float64], psf: NDArray[np.float64]) -> NDArray[np.float64]:
     """Convolution without what the border spoils."""
-    size = fft.next_fast_len(texture.shape[0] + 2 * HALF, real=True)
+    edge = psf.shape[0] - 1
+    size = fft.next_fast_len(max(texture.shape) + edge, real=True)
     whole = fft.irfft2(fft.rfft2(texture, s=(size, size)) * fft.rfft2(psf, s=(size, size)))
-    return np.asarray(whole[2 * HALF : texture.shape[0], 2 * HALF : texture.shape[1]])
+    return np.asarray(whole[edge : texture.shape[0], edge : texture.shape[1]])
 
 
 def as_image(planes: NDArray[np.float32]) -> LinearImage:

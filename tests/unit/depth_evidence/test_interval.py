@@ -9,6 +9,7 @@ import pytest
 from scipy.stats import norm
 
 from calibration.bank import Bank
+from calibration.pupil import interpolator_of_bank
 from tests.unit.depth_evidence.synthetic import leaves, make_bank, photograph, with_pupil
 from workbench.depth.evidence import estimate_evidence, observe, prepare
 from workbench.depth.evidence_model import EvidenceOptions, Learned
@@ -119,11 +120,15 @@ def test_errors_that_the_likelihood_does_not_know_add_in_quadrature(bank: Bank) 
         return least_error_px(sigma_px, line_share, 1, model, learned, outlines_found=found)
 
     plain = error()
-    assert plain == pytest.approx(np.hypot(learned.floor_px, model.sigma_se_px[0]), abs=0.01)
+    lens = float(np.interp(8.0, model.sigma_px, model.sigma_se_px))
+    assert plain == pytest.approx(np.hypot(learned.floor_px, lens), abs=1e-3)
     lines, found, both = error(line_share=0.3), error(found=True), error(line_share=0.3, found=True)
     assert both**2 - plain**2 == pytest.approx(lines**2 + found**2 - 2 * plain**2)
     assert error(line_share=0.6) > error(line_share=0.3) > plain == error(line_share=0.05)
-    assert error(sigma_px=0.3) > 3 * error(sigma_px=5.0)
+    assert error(sigma_px=0.3) > 0.09 > 3 * error(sigma_px=5.0)
+    blended = replace(model, psfs=interpolator_of_bank(bank, 0))
+    coarse = least_error_px(8.0, 0.0, 1, blended, learned, outlines_found=False)
+    assert coarse**2 - plain**2 == pytest.approx(0.06**2)
 
 
 def test_outlines_that_were_found_widen_the_interval_and_move_nothing(bank: Bank) -> None:
@@ -138,7 +143,7 @@ def test_outlines_that_were_found_widen_the_interval_and_move_nothing(bank: Bank
 def test_a_bank_over_the_field_tells_it_too(bank: Bank) -> None:
     places = np.array([(-0.4, -0.4), (0.4, 0.4)])
     psf, se = np.repeat(bank.psf, 2, axis=0), np.repeat(bank.psf_se, 2, axis=0)
-    field = replace(bank, psf=psf, psf_se=se, field_yx=places)
+    field = replace(bank, psf=psf, psf_se=se, field_yx=places, extras={})
     image = photograph(leaves(SIDE, 8), 2600.0)
     drawn, found = (
         estimate_depths(image, field, whole(image.shape), "evidence", {}, outlines_found=told)[1]

@@ -7,7 +7,7 @@ import pytest
 from scipy import fft
 
 from calibration.bank import Bank
-from calibration.pupil import interpolator_of_bank, psf_model
+from calibration.pupil import PupilModel, interpolator_of_bank, psf_model
 from tests.unit.depth_evidence.synthetic import as_image, blurred, draw_psf, make_bank, radius_px, with_pupil
 from workbench.depth.evidence import estimate_evidence
 from workbench.depth.evidence_kernels import kernel_lags
@@ -16,30 +16,27 @@ from workbench.depth.regions import whole
 FINER, SIDE = 4, 41
 
 
-def folded_by_hand(depth_mm: float) -> np.ndarray:
-    """Power on 64 x 64 frequencies of pixels of a drawn PSF, folded from four times as many a side."""
-    size = 64
-    fine = draw_psf(depth_mm, per_superpixel=FINER)
-    box = np.zeros_like(fine)
-    box[:FINER, :FINER] = 1.0 / FINER**2
-    shape = (FINER * size, FINER * size)
-    power = np.abs(fft.fft2(fine, shape) * fft.fft2(box, shape)) ** 2
-    f = FINER * fft.fftfreq(FINER * size)
-    true, seen = np.hypot(f[:, np.newaxis], f), np.hypot((f - np.rint(f))[:, np.newaxis], f - np.rint(f))
-    share = np.divide(seen, true, out=np.ones_like(true), where=true > 0) ** 2.4
-    return np.asarray((power * share).reshape(FINER, size, FINER, size).sum(axis=(0, 2)))
-
-
-@pytest.mark.parametrize("depth_mm", [1300.0, 1500.0, 2000.0])
-def test_power_is_that_of_a_falling_spectrum_seen_through_pixels(bank: Bank, depth_mm: float) -> None:
-    lags = kernel_lags(psf_model(bank), np.array([depth_mm]), 31, 0.0)[0]
-    assert lags.sum() == pytest.approx(1.0, abs=0.01)
-    whole_lags = np.zeros((64, 64))
-    whole_lags[:61, :61] = lags
-    power = fft.fft2(np.roll(whole_lags, (-30, -30), axis=(0, 1))).real
-    expected = folded_by_hand(depth_mm)
-    high = expected > 1e-3
-    assert np.median(np.abs(np.log(power[high] / expected[high]))) < 0.08
+@pytest.mark.parametrize("depth_mm", [900.0, 1300.0, 1500.0, 1700.0, 2000.0])
+def test_power_folds_by_the_fall_of_a_textures_spectrum(bank: Bank, depth_mm: float) -> None:
+    """Against the whole plane of frequencies of the same PSF on pixels of half the size, folded one by one."""
+    psfs = psf_model(bank)
+    assert isinstance(psfs, PupilModel)
+    side = psfs.side_px(depth_mm)
+    size = 2 * fft.next_fast_len(side)
+    fine = psfs.finer(2).psf_at(depth_mm, 2 * side).astype(np.float64)
+    box = np.zeros((2 * size, 2 * size))
+    box[:2, :2] = 0.25
+    power = np.abs(fft.fft2(fine, box.shape) * fft.fft2(box)) ** 2
+    expected = np.zeros((size, size))
+    for row, column in np.ndindex(power.shape):
+        true = [k / size if k < size else k / size - 2.0 for k in (row, column)]  # cycles per pixel
+        seen = [f - np.rint(f) for f in true]
+        fall = 1.0 if row == column == 0 else (np.hypot(*seen) / np.hypot(*true)) ** 2.4
+        expected[row % size, column % size] += fall * power[row, column]
+    lags = fft.fftshift(fft.ifft2(expected).real)
+    middle = slice(size // 2 - side + 1, size // 2 + side)
+    found = kernel_lags(psfs, np.array([depth_mm]), side, 0.0)[0]
+    np.testing.assert_allclose(found, lags[middle, middle], atol=1e-5 * float(found.max()))
 
 
 def test_small_blurs_are_drawn_on_few_pixels_and_lie_in_the_middle(bank: Bank) -> None:
