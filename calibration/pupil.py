@@ -37,8 +37,8 @@ __all__ = [
 FloatArray = NDArray[np.float64]
 
 GOOD_RESIDUAL = 0.06
-"""A pupil model whose median residual (root of residual power over the PSF's power, noise removed) is larger than
-this describes the bank worse than blending neighbours does."""
+"""Where the pupil's median residual (root of residual power over the PSF's power, noise removed) is larger than this,
+blending neighbours is asked whether it describes the bank better."""
 _ENDS = 1e-9
 _CORES = 6.0
 """Standard deviations of the core beyond which nothing of it is left."""
