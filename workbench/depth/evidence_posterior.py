@@ -29,8 +29,13 @@ _LINES_PX, _LINES_FROM = 0.25, 0.1
 of the texture's power that they hold beyond so much."""
 _FOUND_PX = 0.07
 """Standard error of the radius by what neighbours leave in a region whose outline was found, not drawn."""
+_MISFIT_PX, _MISFIT_SHARE, _FITS = 1.2, 0.2, 0.025
+"""Where PSFs don't quite follow one picture of the pupil, off axis with coma say: standard error of the radius, and of
+each px of it, for PSFs that are wrong altogether. Of their relative error counts what is beyond so much in quadrature,
+which noise and sampling leave. Fitted to 72 regions off axis of the simulated rig."""
 _SAMPLED_PX = 0.06
-"""The same by aliases, where PSFs are interpolated as they were sampled (:mod:`workbench.depth.evidence_kernels`)."""
+"""Standard error of the radius by aliases, where PSFs are interpolated as they were sampled
+(:mod:`workbench.depth.evidence_kernels`)."""
 
 _NEGATIVE_SHARE, _NEGATIVE_NATS, _MOST_NEGATIVE_NATS = 0.02, 1.6, 6.0
 """Of the true blurs of 1023 regions, simulated and ray-traced, one in a hundred leaves more than 5 % of the contrast to
@@ -211,15 +216,17 @@ def least_error_px(
     finer
         Pixels a superpixel is wide, in the view that the radius was read from.
     model, learned
-        The bank, made ready: standard errors of its lens fit, and the error that no evidence undercuts.
+        The bank, made ready, with its PSFs' and its lens fit's errors; the error that no evidence undercuts.
     outlines_found
         Whether the region's outline was found in the photograph.
     """
     soft = _SOFTNESS_PX * float(np.exp(-((sigma_px / _SOFTNESS_RANGE_PX[finer]) ** 2)))
     lens = float(np.interp(sigma_px, model.sigma_px, model.sigma_se_px))
     lines = _LINES_PX * max(0.0, line_share - _LINES_FROM)
+    beyond = float(np.sqrt(max(model.psf_error**2 - _FITS**2, 0.0)))
+    misfit = beyond * (_MISFIT_PX + _MISFIT_SHARE * abs(sigma_px))
     sampled = 0.0 if isinstance(model.psfs, PupilModel) else _SAMPLED_PX
-    return float(np.linalg.norm([learned.floor_px, soft, lens, lines, sampled, _FOUND_PX * outlines_found]))
+    return float(np.linalg.norm([learned.floor_px, soft, lens, lines, misfit, sampled, _FOUND_PX * outlines_found]))
 
 
 def summarise(

@@ -114,7 +114,7 @@ def test_bank_without_a_range_of_blurs_changes_no_width() -> None:
 
 
 def test_errors_that_the_likelihood_does_not_know_add_in_quadrature(bank: Bank) -> None:
-    model, learned = prepare(bank, EvidenceOptions()), Learned()
+    model, learned = replace(prepare(bank, EvidenceOptions()), psf_error=0.02), Learned()
 
     def error(sigma_px: float = 8.0, line_share: float = 0.0, *, found: bool = False) -> float:
         return least_error_px(sigma_px, line_share, 1, model, learned, outlines_found=found)
@@ -129,6 +129,10 @@ def test_errors_that_the_likelihood_does_not_know_add_in_quadrature(bank: Bank) 
     blended = replace(model, psfs=interpolator_of_bank(bank, 0))
     coarse = least_error_px(8.0, 0.0, 1, blended, learned, outlines_found=False)
     assert coarse**2 - plain**2 == pytest.approx(0.06**2)
+    odd = replace(model, psf_error=float(np.hypot(0.025, 0.06)))
+    errors = [least_error_px(sigma, 0.0, 1, odd, learned, outlines_found=False) for sigma in (8.0, 12.0)]
+    assert errors[0] == pytest.approx(np.hypot(plain, 0.06 * (1.2 + 0.2 * 8.0)))
+    assert errors[1] > errors[0]
 
 
 def test_outlines_that_were_found_widen_the_interval_and_move_nothing(bank: Bank) -> None:
