@@ -55,7 +55,7 @@ class _Sample:
     curvature: float
     """Of the log-likelihood there as far as it is trusted, per px^2."""
     known_px: float
-    """Standard error of the radius that is known without a floor: softness, lens, lines."""
+    """Standard error of the radius that is known without a floor: :func:`least_error_px`."""
 
 
 def learn(bank: Bank, seed: int = 0, samples: int = SAMPLES) -> dict[str, NDArray[np.float64]]:

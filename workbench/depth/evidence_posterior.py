@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.special import expit
 
-from calibration.pupil import PupilModel
 from workbench.depth.estimate import DepthEstimate, Status
+from workbench.depth.evidence_kernels import drawn_finer
 from workbench.depth.evidence_model import NATIVE_FINER, DepthModel, EvidenceOptions, Learned
 from workbench.depth.evidence_side import Comparison
 
@@ -225,7 +225,7 @@ def least_error_px(
     lines = _LINES_PX * max(0.0, line_share - _LINES_FROM)
     beyond = float(np.sqrt(max(model.psf_error**2 - _FITS**2, 0.0)))
     misfit = beyond * (_MISFIT_PX + _MISFIT_SHARE * abs(sigma_px))
-    sampled = 0.0 if isinstance(model.psfs, PupilModel) else _SAMPLED_PX
+    sampled = _SAMPLED_PX * (drawn_finer(model.psfs)[1] == 1)
     return float(np.linalg.norm([learned.floor_px, soft, lens, lines, misfit, sampled, _FOUND_PX * outlines_found]))
 
 
