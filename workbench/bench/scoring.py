@@ -43,6 +43,17 @@ class Outcome:
         """Whether the method gave a depth at all."""
         return math.isfinite(self.depth_mm) and self.status not in ("no-texture", "saturated")
 
+    @property
+    def has_interval(self) -> bool:
+        """Whether there is a depth with an interval about it."""
+        return self.answered and all(math.isfinite(end) for end in self.interval_mm)
+
+    @property
+    def interval_holds(self) -> bool:
+        """Whether the truth is inside the interval."""
+        low, high = self.interval_mm
+        return low <= self.true_mm <= high
+
 
 @dataclass(frozen=True, slots=True)
 class Figures:
@@ -118,7 +129,6 @@ def summarise(outcomes: Sequence[Outcome], focus_mm: float) -> Figures:
     bounds = np.array([o.bound_mm for o in answered])
     gross = np.abs(errors) > GROSS_MM
     fine = ~gross & ~flipped
-    with_interval = [o for o in answered if all(math.isfinite(bound) for bound in o.interval_mm)]
     return Figures(
         count=count,
         answered=len(answered) / max(count, 1),
@@ -134,7 +144,7 @@ def summarise(outcomes: Sequence[Outcome], focus_mm: float) -> Figures:
         median_cm=_median(np.abs(errors)) / 10,
         fine_rms_cm=_rms(errors[fine]) / 10,
         bound_cm=_rms(bounds[fine & np.isfinite(bounds)]) / 10,
-        coverage=_mean([o.interval_mm[0] <= o.true_mm <= o.interval_mm[1] for o in with_interval]),
+        coverage=_mean([o.interval_holds for o in answered if o.has_interval]),
         seconds=_median([o.seconds for o in outcomes]),
     )
 

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
 from workbench.bench.cases import BLANK
+from workbench.bench.intervals import Held, held
 from workbench.bench.method_speed import MemoryRow, MethodRow
 from workbench.bench.scoring import Figures, Outcome, grouped
 from workbench.bench.speed import SpeedRow
@@ -55,6 +56,8 @@ _FIGURE_COLUMNS = (
     "RMS cm", "RMS 1/m", "fine cm", "bound cm", "in 95 %", "time",
 )  # fmt: skip
 
+_HELD_COLUMNS = ("n", "hold", "between", "± cm")
+
 
 def accuracy_tables(outcomes: Sequence[Outcome], focus_mm: float) -> list[TableOf]:
     """All tables of a run.
@@ -70,21 +73,28 @@ def accuracy_tables(outcomes: Sequence[Outcome], focus_mm: float) -> list[TableO
     -------
     list of TableOf
         By size and light; by texture and by depth band (all sizes in normal light, or the lights there are); where the
-        methods measured different cases, their comparison on those that all did; abstentions on the blank wall.
+        methods measured different cases, their comparison on those that all did; how many intervals hold the truth;
+        abstentions on the blank wall.
     """
     textured = [o for o in outcomes if o.texture != BLANK]
-    lights = {o.light for o in textured}
-    normal = [o for o in textured if o.light == "normal"] if "normal" in lights else textured
+    normal = _in_normal_light(textured)
     tables = []
     for name, (parts, key) in GROUPINGS.items():
         chosen = textured if name == "size and light" else normal
         title = f"By {name}" + ("" if len({o.light for o in chosen}) > 1 else _light(chosen))
         tables.append(figures_table(title, " ".join(parts), _ordered(grouped(chosen, key, focus_mm), name)))
     tables += _comparison(textured, focus_mm)
+    if any(o.has_interval for o in normal):
+        tables.append(_intervals_table("Intervals of 95 %" + _light(normal), normal))
     blank = [o for o in outcomes if o.texture == BLANK]
     if blank:
         tables.append(_blank_table(blank))
     return tables
+
+
+def _in_normal_light(outcomes: Sequence[Outcome]) -> Sequence[Outcome]:
+    """Those in normal light, or all where there are none."""
+    return [o for o in outcomes if o.light == "normal"] or outcomes
 
 
 def _light(outcomes: Sequence[Outcome]) -> str:
@@ -98,6 +108,32 @@ def _ordered(groups: Mapping[tuple[str, ...], Figures], name: str) -> dict[tuple
     if name == "depth":
         parts = [(band_name(low),) for low, _ in BANDS_MM]
     return dict(sorted(groups.items(), key=lambda item: (parts.index(item[0][1:]), methods.index(item[0][0]))))
+
+
+def _intervals_table(title: str, outcomes: Sequence[Outcome]) -> TableOf:
+    """One row per method and texture, band of depths or size; all that have an interval, and those of them unmarked."""
+    columns = ("method", "regions", *_HELD_COLUMNS, *(f"unm. {name}" for name in _HELD_COLUMNS))
+    rows = [(*names, *_held_cells(every), *_held_cells(unmarked)) for names, every, unmarked in _intervals(outcomes)]
+    return TableOf(title, columns, tuple(rows))
+
+
+def _intervals(outcomes: Sequence[Outcome]) -> Iterator[tuple[tuple[str, str], Held, Held]]:
+    """Of each method by texture, by band and by size: names, all that have an interval, those of them unmarked."""
+    for method in dict.fromkeys(o.method for o in outcomes if o.has_interval):
+        own = [o for o in outcomes if o.method == method]
+        groups = {name: [o for o in own if o.texture == name] for name in dict.fromkeys(o.texture for o in own)}
+        for name in (band_name(low) for low, _ in BANDS_MM):
+            groups[name] = [o for o in own if band_name(o.true_mm) == name]
+        groups |= {name: [o for o in own if o.size == name] for name in dict.fromkeys(o.size for o in own)}
+        for name, group in groups.items():
+            if any(o.has_interval for o in group):
+                yield (method, name), held(group), held(group, unmarked=True)
+
+
+def _held_cells(h: Held) -> tuple[Cell, ...]:
+    low, high = h.between
+    between = f"{100 * low:.1f} to {100 * high:.1f}" if h.count else "-"
+    return h.count, percent(h.share), between, _number(h.half_width_cm)
 
 
 def figures_table(title: str, group: str, groups: Mapping[tuple[str, ...], Figures]) -> TableOf:
@@ -232,7 +268,9 @@ called ambiguous. Both, and the gross ones, are fractions of all regions; the ot
 5 cm, so that rounding to the 10 cm grid gives the truth. Gross: off by more than 40 cm; unm. gross: and not called
 ambiguous. Flips: not exact, on the wrong side of focus and nearer to the mirror depth than to the focal plane. Fine:
 RMS error of answers neither gross nor flipped; beside it the Cramer-Rao bound of the same regions, for a Gaussian
-texture of known spectrum. In 95 %: the interval holds the truth. Time: median per region, all regions of a
+texture of known spectrum. In 95 %: the interval holds the truth. Among the intervals, between: shares that so many may
+come from, with 95 % confidence (Clopper and Pearson 1934), as if regions were independent; ± cm: median of half their
+widths. Time: median per region, all regions of a
 frame measured together, of simulated planes on one core; of regions found in a photograph, finding them and the
 all-focus image included."""
 
@@ -246,4 +284,8 @@ def tables_json(outcomes: Sequence[Outcome], focus_mm: float) -> dict[str, list[
             {"method": group[0], **dict(zip(parts, group[1:], strict=False)), **asdict(figures)}
             for group, figures in grouped(textured, key, focus_mm).items()
         ]
+    result["intervals"] = [
+        {"method": method, "regions": name, "all": asdict(every), "unmarked": asdict(unmarked)}
+        for (method, name), every, unmarked in _intervals(_in_normal_light(textured))
+    ]
     return result

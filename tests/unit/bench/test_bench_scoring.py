@@ -7,6 +7,7 @@ import math
 import pytest
 from bench_drawings import FOCUS_MM, outcome
 
+from workbench.bench.intervals import held
 from workbench.bench.scoring import summarise
 from workbench.bench.tables import accuracy_tables, band_name, markdown_page, singles_table, tables_json
 
@@ -92,6 +93,33 @@ def test_single_answers_show_doubt_and_missed_intervals() -> None:
         ("c", outcome(1000, float("nan"), status="no-texture")),
     ]).rows  # fmt: skip
     assert [row[3] for row in rows] == ["100.4", "120.0?*", "no-texture"]
+
+
+def test_intervals_are_counted_with_what_so_many_regions_tell() -> None:
+    right, wrong = (1900.0, 2100.0), (2010.0, 2100.0)
+    outcomes = [outcome(2000, 2000, interval_mm=right)] * 18 + [outcome(2000, 2050, interval_mm=wrong)]
+    found = held([*outcomes, outcome(2000, 1400, interval_mm=wrong, status="ambiguous"), outcome(2000, 2000)])
+    assert found.count == 20  # the last one has no interval
+    assert found.share == pytest.approx(18 / 20)
+    assert found.between == pytest.approx((0.683, 0.988), abs=1e-3)  # Clopper and Pearson's for 18 of 20
+    assert found.half_width_cm == pytest.approx(10.0)
+    assert held(outcomes, unmarked=True).count == 19
+    assert math.isnan(held([outcome(2000, 2000)]).share)
+
+
+def test_intervals_by_texture_band_and_size_in_normal_light() -> None:
+    right = (1900.0, 2100.0)
+    outcomes = [outcome(2000, 2000, interval_mm=right, light=light) for light in ("normal", "dim")]
+    outcomes.append(outcome(2000, 2000, interval_mm=right, status="ambiguous", light="normal"))
+    table = next(t for t in accuracy_tables(outcomes, FOCUS_MM) if t.title == "Intervals of 95 % (normal light)")
+    assert [row[:4] for row in table.rows] == [
+        ("m", name, 2, "100.0") for name in (outcomes[0].texture, "180 to 250 cm", outcomes[0].size)
+    ]
+    assert {row[table.columns.index("unm. n")] for row in table.rows} == {1}
+    entry = tables_json(outcomes, FOCUS_MM)["intervals"][0]
+    assert (entry["all"]["count"], entry["unmarked"]["count"]) == (2, 1)
+    without = [outcome(2000, 2000)]
+    assert not any(t.title.startswith("Intervals") for t in accuracy_tables(without, FOCUS_MM))
 
 
 def test_page_and_json_hold_every_group() -> None:
