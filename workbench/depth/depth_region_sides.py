@@ -1,4 +1,8 @@
-"""On which side of focus each cell of a piece lies, so that mirror depths with the same blur don't stay one region."""
+"""On which side of focus each cell of a piece lies, so that mirror depths with the same blur don't stay one region.
+
+Nor what has no side of its own, plaster say, with what has one: it would be lent the side of a thing at its mirror
+depth, which it may well not have.
+"""
 
 from __future__ import annotations
 
@@ -20,9 +24,12 @@ FloatArray = NDArray[np.float64]
 _LEAST_RADIUS_PX = 1.5
 """Nearer to focus than this the two sides are the same depth, all but."""
 _SPECTRUM_WINDOWS = 9
+_TELLING, _SCATTER = 3.0, 2.0
+"""Log-odds that a cell of a texture which tells its side has, at least, and their standard deviation from cell to cell.
+Looked at in five sets of ray-traced scenes."""
 
 
-def side_likelihoods(
+def side_odds_by_cell(
     plane: NDArray[np.float32],
     windows: Sequence[Window],
     pieces: NDArray[np.int32],
@@ -33,7 +40,7 @@ def side_likelihoods(
     least_cells: int,
     overlap: float,
 ) -> FloatArray:
-    """Log-probability of the far and of the near side for each cell, at its piece's radius.
+    """Log-odds of the far side against the near one for each cell, at its piece's radius.
 
     Parameters
     ----------
@@ -54,10 +61,10 @@ def side_likelihoods(
 
     Returns
     -------
-    float64 (cells, 2)
-        Zeros where a piece has one side only, or is too small or too near to focus to be split.
+    float64 (cells,)
+        0 where a piece has one side only, or is too small or too near to focus to be split.
     """
-    result = np.zeros((len(windows), 2))
+    result = np.zeros(len(windows))
     everywhere = np.ones_like(plane)
     for piece in np.unique(pieces):
         cells = np.flatnonzero(pieces == piece)
@@ -71,6 +78,22 @@ def side_likelihoods(
         fit = fit_spectra(pooled.power, pooled.trusted, expected, independent_share=pooled.independent_share)
         psfs = [model.psf_at(sign * radius) for sign in (1.0, -1.0)]
         favour = favour_by_window(plane, everywhere, own, psfs, fit.texture(0))
-        odds = overlap * favour @ learned.favour_weights
-        result[cells] = np.stack([log_expit(odds), log_expit(-odds)], axis=1)
+        result[cells] = overlap * favour @ learned.favour_weights
     return result
+
+
+def side_likelihoods(odds: FloatArray) -> FloatArray:
+    """Log-probability of the far and of the near side, float64 (cells, 2), from the log-odds (cells,) between them."""
+    return np.stack([log_expit(odds), log_expit(-odds)], axis=1)
+
+
+def telling_likelihoods(odds: FloatArray) -> FloatArray:
+    """Log-likelihood that a cell's texture tells the far side, the near side or none, float64 (cells, 3).
+
+    Parameters
+    ----------
+    odds
+        float64 (cells,): log-odds of the far side against the near one.
+    """
+    short = [np.minimum(sign * odds - _TELLING, 0.0) for sign in (1.0, -1.0)]
+    return np.asarray(-0.5 * (np.stack([*short, odds], axis=1) / _SCATTER) ** 2)

@@ -6,7 +6,8 @@ merged, the most compatible first, as long as one common radius explains both ne
 windows see little of their neighbours, and often little else; what goes with anything goes with its own colour. The
 outlines come from the colour regions: one that lies within one piece goes to it as a whole, one that spans several is
 cut along the grid. Radii are compared without their side of focus first, which single windows can't tell; then what
-has one radius is merged anew by its side, so that two objects at mirror depths don't stay one.
+has one radius is merged anew by whether its texture tells a side, so that none is lent its neighbour's, and what is one
+by that by the side itself, so that two objects at mirror depths don't stay one.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from scipy import ndimage
 from calibration.bank import Bank
 from calibration.image import LinearImage
 from workbench.depth.depth_region_merging import merge_cells
-from workbench.depth.depth_region_sides import side_likelihoods
+from workbench.depth.depth_region_sides import side_likelihoods, side_odds_by_cell, telling_likelihoods
 from workbench.depth.evidence_expected import smeared_power
 from workbench.depth.evidence_model import DepthModel, EvidenceOptions, learned_of, prepare
 from workbench.depth.evidence_periodogram import pooled_periodogram
@@ -51,8 +52,9 @@ class DepthRegionOptions:
         Spacing of the grid: at least so many pixels, and at most so many cells along the longer side.
     radius_step_px
         Step between the radii that are compared.
-    tolerance, side_tolerance
-        Log-likelihood that two pieces may lose by a common radius, or by a common side of focus, and still be merged.
+    tolerance, telling_tolerance, side_tolerance
+        Log-likelihood that two pieces may lose by a common radius, by textures that tell the same or nothing about the
+        side of focus, or by a common side, and still be merged.
     least_cells
         A piece of fewer cells is given to the neighbour that suits it best.
     whole_share
@@ -66,6 +68,7 @@ class DepthRegionOptions:
     most_cells: int = 20
     radius_step_px: float = 1.0
     tolerance: float = 8.0
+    telling_tolerance: float = 8.0
     side_tolerance: float = 4.0
     least_cells: int = 3
     whole_share: float = 0.5
@@ -106,14 +109,16 @@ def regions_of_one_depth(
     likelihood = _cell_likelihoods(image.luminance, windows, model, workers)
     whole = np.zeros(len(windows), np.int32)
     colours = _cell_colours(image.planes, cell)
-    alike = merge_cells(likelihood, colours, shape, whole, options.tolerance, options.least_cells)
+    pieces = merge_cells(likelihood, colours, shape, whole, options.tolerance, options.least_cells)
     overlap = min(1.0, (cell / options.window_px) ** 2 / _WINDOW_SHARE)
-    sides = side_likelihoods(
-        image.luminance, windows, alike, likelihood, model, learned_of(bank),
+    odds = side_odds_by_cell(
+        image.luminance, windows, pieces, likelihood, model, learned_of(bank),
         least_cells=options.least_cells, overlap=overlap,
     )  # fmt: skip
-    pieces = merge_cells(sides, colours, shape, alike, options.side_tolerance, options.least_cells).reshape(shape)
-    by_pixel = pieces.repeat(cell, axis=0)[:height].repeat(cell, axis=1)[:, :width]
+    telling, sides = telling_likelihoods(odds), side_likelihoods(odds)
+    pieces = merge_cells(telling, colours, shape, pieces, options.telling_tolerance, options.least_cells)
+    pieces = merge_cells(sides, colours, shape, pieces, options.side_tolerance, options.least_cells)
+    by_pixel = pieces.reshape(shape).repeat(cell, axis=0)[:height].repeat(cell, axis=1)[:, :width]
     return _by_size(_with_outlines(by_pixel, labels, options.whole_share), options.least_fraction)
 
 

@@ -2,22 +2,36 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 import pytest
+from numpy.typing import NDArray
+from scipy import ndimage
 
 from calibration.bank import Bank
 from calibration.image import LinearImage
 from tests.unit.depth_evidence.synthetic import FOCUS_MM, as_image, leaves, photograph
 from workbench.depth.depth_region_merging import merge_cells
+from workbench.depth.depth_region_sides import telling_likelihoods
 from workbench.depth.depth_regions import DepthRegionOptions, regions_of_one_depth
+
+FloatArray = NDArray[np.float64]
 
 SIDE = 300
 
 
-def side_by_side(left_mm: float, right_mm: float) -> LinearImage:
+def side_by_side(left_mm: float, right_mm: float, right: FloatArray | None = None) -> LinearImage:
     """Two planes of the same greys that meet in the middle."""
-    left, right = (photograph(leaves(SIDE + 40, seed), depth).planes for seed, depth in ((3, left_mm), (4, right_mm)))
-    return as_image(np.concatenate([left, right], axis=1))
+    textures = leaves(SIDE + 40, 3), leaves(SIDE + 40, 4) if right is None else right
+    planes = [photograph(texture, depth).planes for texture, depth in zip(textures, (left_mm, right_mm), strict=True)]
+    return as_image(np.concatenate(planes, axis=1))
+
+
+def plaster(side: int, seed: int) -> FloatArray:
+    """Grain without edges: what no restoration makes sparser, and so has no side of focus."""
+    grain = ndimage.gaussian_filter(np.random.default_rng(seed).standard_normal((side, side)), 1.0)
+    return np.asarray(0.4 + 0.1 * grain / grain.std())
 
 
 def tiles(image: LinearImage, side: int = 20) -> np.ndarray:
@@ -48,6 +62,23 @@ def test_mirror_depths_with_the_same_blur_become_two_regions(bank: Bank) -> None
     left, right, covered = halves(regions_of_one_depth(image, bank, tiles(image)))
     assert left != right
     assert covered > 0.8
+
+
+def lent_by_leaves(bank: Bank, options: DepthRegionOptions | None = None) -> float:
+    """Share of plaster's pixels that go to leaves of its greys at its mirror depth, over six pairs."""
+    lent = []
+    for leaves_mm, seed in itertools.product((2300.0, 2600.0, 2900.0), (5, 6)):
+        mirror_mm = 1.0 / (2.0 / FOCUS_MM - 1.0 / leaves_mm)
+        image = side_by_side(leaves_mm, mirror_mm, plaster(SIDE + 40, seed))
+        labels = regions_of_one_depth(image, bank, tiles(image), options)
+        middle = labels.shape[1] // 2
+        lent.append(float((labels[:, middle + 20 :] == halves(labels)[0]).mean()))
+    return float(np.mean(lent))
+
+
+def test_what_tells_no_side_of_focus_is_not_lent_one(bank: Bank) -> None:
+    assert lent_by_leaves(bank) < 0.1
+    assert lent_by_leaves(bank, DepthRegionOptions(telling_tolerance=1e6)) > 0.3
 
 
 @pytest.mark.parametrize("depth_mm", [2000.0, 2600.0])
@@ -115,3 +146,11 @@ def test_piece_of_too_few_cells_goes_where_it_loses_least() -> None:
     row = [third, third, odd, (-90.0, 0.0, -90.0), (-90.0, 0.0, -90.0)]
     assert merged(row, [0.0] * 5, least_cells=2) == [1, 1, 1, 2, 2]
     assert merged(row, [0.0] * 5) == [1, 1, 2, 3, 3]
+
+
+def test_cells_tell_a_side_or_none() -> None:
+    likelihood = telling_likelihoods(np.array([0.0, 1.0, 5.0, 50.0, -5.0]))
+    far, near, none = 0, 1, 2
+    assert likelihood.argmax(axis=1).tolist() == [none, none, far, far, near]
+    assert likelihood[2, far] == likelihood[3, far] == likelihood[4, near] == 0.0
+    np.testing.assert_allclose(likelihood[1], [-0.5, -2.0, -0.125])  # 2, 4 and 1 from 3, -3 and 0, by 2
