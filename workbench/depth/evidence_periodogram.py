@@ -127,7 +127,7 @@ def effective_pixels(windows: Sequence[Window]) -> float:
     )
     for window in windows:
         row, column = window.row - top, window.column - left
-        weight[row : row + size, column : column + size] += window.taper**2
+        _add_squares(weight[row : row + size, column : column + size], window.taper)
     return float(weight.sum(dtype=np.float64) ** 2 / np.square(weight).sum(dtype=np.float64))
 
 
@@ -171,6 +171,14 @@ def _add_power(total: FloatArray, spectra: NDArray[np.complex64]) -> None:
             row, spectrum = total[i], spectra[k, i]
             for j in range(row.size):
                 row[j] += spectrum[j].real ** 2 + spectrum[j].imag ** 2
+
+
+@compiled
+def _add_squares(total: Plane, values: Plane) -> None:
+    for i in range(total.shape[0]):
+        row, own = total[i], values[i]
+        for j in range(row.size):
+            row[j] += own[j] * own[j]
 
 
 @compiled

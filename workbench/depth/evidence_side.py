@@ -248,15 +248,23 @@ def _moments(patches: Patches, psfs: Sequence[Plane], texture: TextureSpectrum, 
         transfer = transfer_of(psf, patches.size)
         restoring = wiener(transfer, ratio)
         for j, filters in enumerate(_filters(transfer, restoring, ratio)):
-            for k, filt in enumerate(filters):
-                response = inner(patches.filtered(filt))
+            for k, response in enumerate(_responses(patches, filters)):
                 square = response * response
-                root = (square + np.float32(_TINY)) ** np.float32(_SPARSE / 2)
+                root = np.exp(np.float32(_SPARSE / 2) * np.log(square + np.float32(_TINY)))  # half as long as a power
                 _add_moments(root, square, patches.weights, found[:, i, j, k])
         if is_light:
             negative[i] = patches.by_tile(_explained_by_negative(patches, transfer, restoring, texture.log_noise) ** 2)
     contrast = patches.by_tile(patches.values**2)
     return _Moments(found[0], found[1], found[2], negative, contrast, tile_sums(patches.weights))
+
+
+def _responses(patches: Patches, filters: Sequence[Complex]) -> list[Plane]:
+    """Patches through the filters of a family, float32 (W, N, N) each; those of two slopes along the diagonals, too."""
+    responses = [inner(patches.filtered(filt)) for filt in filters]
+    if len(responses) < _DIRECTIONS:
+        along, across = responses
+        responses += [along + across, along - across]
+    return responses
 
 
 def _explained_by_negative(patches: Patches, transfer: Complex, restoring: Complex, log_noise: float) -> Plane:
@@ -294,7 +302,7 @@ def _add_moments(root: Plane, square: Plane, weights: Plane, sums: FloatArray) -
 
 
 def _filters(transfer: Complex, restoring: Complex, ratio: Plane) -> Iterator[list[Complex]]:
-    """Family by family, the filters in four directions that restore what a transfer function blurred.
+    """Family by family, the filters that restore what a transfer function blurred: two slopes, or four directions.
 
     ``restoring`` is its Wiener filter, ``ratio`` the power of texture over noise, float32 (N, N // 2 + 1).
     """
@@ -312,11 +320,11 @@ def _filters(transfer: Complex, restoring: Complex, ratio: Plane) -> Iterator[li
 
 @lru_cache(maxsize=8)
 def _shapes(size: int) -> tuple[list[Complex], ...]:
-    """What the families filter besides restoring: directions of unit derivatives, of derivatives, of each band."""
+    """What the families filter besides restoring: unit derivatives, derivatives, and bands in all directions."""
     fy, fx = fft.fftfreq(size)[:, np.newaxis], fft.rfftfreq(size)[np.newaxis, :]
     modulus, direction = np.hypot(fy, fx), np.arctan2(fy + 0 * fx, fx + 0 * fy)
     safe = np.maximum(modulus, 1.0 / size)
-    slopes = (fx + 0 * fy, fy + 0 * fx, fx + fy, fx - fy)
+    slopes = (fx + 0 * fy, fy + 0 * fx)
     lobes = [np.cos(direction - turn * np.pi / _DIRECTIONS) ** 3 for turn in range(_DIRECTIONS)]
     bands = [np.exp(-(np.log(safe / centre) ** 2) / 0.572) for centre in _BANDS]
     families = [[slope / safe for slope in slopes], list(slopes), *([band * lobe for lobe in lobes] for band in bands)]
