@@ -44,6 +44,11 @@ class Outcome:
         return math.isfinite(self.depth_mm) and self.status not in ("no-texture", "saturated")
 
     @property
+    def marked(self) -> bool:
+        """Whether the depth is called ambiguous."""
+        return self.status == "ambiguous"
+
+    @property
     def has_interval(self) -> bool:
         """Whether there is a depth with an interval about it."""
         return self.answered and all(math.isfinite(end) for end in self.interval_mm)
@@ -124,7 +129,7 @@ def summarise(outcomes: Sequence[Outcome], focus_mm: float) -> Figures:
     count = len(outcomes)
     errors = np.array([o.depth_mm - o.true_mm for o in answered])
     dioptres = np.array([1000 / o.depth_mm - 1000 / o.true_mm for o in answered])
-    marked = np.array([o.status == "ambiguous" for o in answered], np.bool_)
+    marked = np.array([o.marked for o in answered], np.bool_)
     flipped = np.array([is_flipped(o.true_mm, o.depth_mm, focus_mm) for o in answered], np.bool_)
     bounds = np.array([o.bound_mm for o in answered])
     gross = np.abs(errors) > GROSS_MM
@@ -153,10 +158,17 @@ def grouped(
     outcomes: Iterable[Outcome], key: Callable[[Outcome], tuple[str, ...]], focus_mm: float
 ) -> dict[tuple[str, ...], Figures]:
     """Figures per group, groups in order of first appearance."""
+    return {name: summarise(group, focus_mm) for name, group in split(outcomes, key).items()}
+
+
+def split(
+    outcomes: Iterable[Outcome], key: Callable[[Outcome], tuple[str, ...]]
+) -> dict[tuple[str, ...], list[Outcome]]:
+    """Outcomes per group, groups in order of first appearance."""
     groups: dict[tuple[str, ...], list[Outcome]] = {}
     for outcome in outcomes:
         groups.setdefault(key(outcome), []).append(outcome)
-    return {name: summarise(group, focus_mm) for name, group in groups.items()}
+    return groups
 
 
 def _median(values: Sequence[float] | FloatArray) -> float:

@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 from workbench.bench.cases import BLANK
-from workbench.bench.intervals import Held, held
+from workbench.bench.interval_coverage import Coverage, coverage_of
 from workbench.bench.method_speed import MemoryRow, MethodRow
-from workbench.bench.scoring import Figures, Outcome, grouped
+from workbench.bench.scoring import Figures, Outcome, grouped, split
 from workbench.bench.speed import SpeedRow
 
 BANDS_MM = ((0.0, 1000.0), (1000.0, 1400.0), (1400.0, 1800.0), (1800.0, 2500.0), (2500.0, math.inf))
@@ -56,7 +56,10 @@ _FIGURE_COLUMNS = (
     "RMS cm", "RMS 1/m", "fine cm", "bound cm", "in 95 %", "time",
 )  # fmt: skip
 
-_HELD_COLUMNS = ("n", "hold", "between", "± cm")
+_COVERAGE_COLUMNS = ("n", "in 95 %", "95 % conf.", "± cm")
+_COVERAGE_GROUPINGS: Mapping[str, Key] = {
+    **{name: GROUPINGS[name][1] for name in ("texture", "depth")}, "size": lambda o: (o.method, o.size)
+}  # fmt: skip
 
 
 def accuracy_tables(outcomes: Sequence[Outcome], focus_mm: float) -> list[TableOf]:
@@ -73,35 +76,40 @@ def accuracy_tables(outcomes: Sequence[Outcome], focus_mm: float) -> list[TableO
     -------
     list of TableOf
         By size and light; by texture and by depth band (all sizes in normal light, or the lights there are); where the
-        methods measured different cases, their comparison on those that all did; how many intervals hold the truth;
-        abstentions on the blank wall.
+        methods measured different cases, their comparison on those that all did; how many intervals hold the truth, in
+        one light; abstentions on the blank wall.
     """
     textured = [o for o in outcomes if o.texture != BLANK]
-    normal = _in_normal_light(textured)
+    normal = [o for o in textured if o.light == "normal"] or textured
     tables = []
     for name, (parts, key) in GROUPINGS.items():
         chosen = textured if name == "size and light" else normal
-        title = f"By {name}" + ("" if len({o.light for o in chosen}) > 1 else _light(chosen))
+        title = f"By {name}" + _light(chosen)
         tables.append(figures_table(title, " ".join(parts), _ordered(grouped(chosen, key, focus_mm), name)))
     tables += _comparison(textured, focus_mm)
-    if any(o.has_interval for o in normal):
-        tables.append(_intervals_table("Intervals of 95 %" + _light(normal), normal))
+    tables += _coverage_table(_in_one_light(textured))
     blank = [o for o in outcomes if o.texture == BLANK]
     if blank:
         tables.append(_blank_table(blank))
     return tables
 
 
-def _in_normal_light(outcomes: Sequence[Outcome]) -> Sequence[Outcome]:
-    """Those in normal light, or all where there are none."""
-    return [o for o in outcomes if o.light == "normal"] or outcomes
+def _in_one_light(outcomes: Sequence[Outcome]) -> Sequence[Outcome]:
+    """Those in normal light, or else in the first light that there is."""
+    lights = [o.light for o in outcomes]
+    return [o for o in outcomes if o.light == ("normal" if "normal" in lights else lights[0])]
 
 
 def _light(outcomes: Sequence[Outcome]) -> str:
-    return f" ({outcomes[0].light} light)" if outcomes and outcomes[0].light else ""
+    """What a title says of the light, where there is but one."""
+    lights = {o.light for o in outcomes} - {""}
+    return f" ({lights.pop()} light)" if len(lights) == 1 else ""
 
 
-def _ordered(groups: Mapping[tuple[str, ...], Figures], name: str) -> dict[tuple[str, ...], Figures]:
+Group = TypeVar("Group")
+
+
+def _ordered(groups: Mapping[tuple[str, ...], Group], name: str) -> dict[tuple[str, ...], Group]:
     """Methods side by side within each group; depth bands from near to far."""
     methods = list(dict.fromkeys(key[0] for key in groups))
     parts = list(dict.fromkeys(key[1:] for key in groups))
@@ -110,30 +118,25 @@ def _ordered(groups: Mapping[tuple[str, ...], Figures], name: str) -> dict[tuple
     return dict(sorted(groups.items(), key=lambda item: (parts.index(item[0][1:]), methods.index(item[0][0]))))
 
 
-def _intervals_table(title: str, outcomes: Sequence[Outcome]) -> TableOf:
-    """One row per method and texture, band of depths or size; all that have an interval, and those of them unmarked."""
-    columns = ("method", "regions", *_HELD_COLUMNS, *(f"unm. {name}" for name in _HELD_COLUMNS))
-    rows = [(*names, *_held_cells(every), *_held_cells(unmarked)) for names, every, unmarked in _intervals(outcomes)]
-    return TableOf(title, columns, tuple(rows))
+def _coverage_table(outcomes: Sequence[Outcome]) -> list[TableOf]:
+    """A row per texture, band of depths or size and method: all intervals, unmarked ones. None where there are none."""
+    columns = ("method", "by", "regions", *_COVERAGE_COLUMNS, *(f"unm. {name}" for name in _COVERAGE_COLUMNS))
+    rows = [(*names, *_coverage_cells(every), *_coverage_cells(unmarked)) for names, every, unmarked in
+            _coverages(outcomes)]  # fmt: skip
+    return [TableOf("Intervals of 95 %" + _light(outcomes), columns, tuple(rows))] if rows else []
 
 
-def _intervals(outcomes: Sequence[Outcome]) -> Iterator[tuple[tuple[str, str], Held, Held]]:
-    """Of each method by texture, by band and by size: names, all that have an interval, those of them unmarked."""
-    for method in dict.fromkeys(o.method for o in outcomes if o.has_interval):
-        own = [o for o in outcomes if o.method == method]
-        groups = {name: [o for o in own if o.texture == name] for name in dict.fromkeys(o.texture for o in own)}
-        for name in (band_name(low) for low, _ in BANDS_MM):
-            groups[name] = [o for o in own if band_name(o.true_mm) == name]
-        groups |= {name: [o for o in own if o.size == name] for name in dict.fromkeys(o.size for o in own)}
-        for name, group in groups.items():
-            if any(o.has_interval for o in group):
-                yield (method, name), held(group), held(group, unmarked=True)
+def _coverages(outcomes: Sequence[Outcome]) -> Iterator[tuple[tuple[str, str, str], Coverage, Coverage]]:
+    """Method, grouping and group; coverage of its intervals, and of those of them that are unmarked."""
+    for by, key in _COVERAGE_GROUPINGS.items():
+        for (method, name), group in _ordered(split((o for o in outcomes if o.has_interval), key), by).items():
+            yield (method, by, name), coverage_of(group), coverage_of([o for o in group if not o.marked])
 
 
-def _held_cells(h: Held) -> tuple[Cell, ...]:
-    low, high = h.between
-    between = f"{100 * low:.1f} to {100 * high:.1f}" if h.count else "-"
-    return h.count, percent(h.share), between, _number(h.half_width_cm)
+def _coverage_cells(c: Coverage) -> tuple[Cell, ...]:
+    low, high = c.confidence_interval
+    between = f"{percent(low)} to {percent(high)}" if c.count else "-"
+    return c.count, percent(c.coverage), between, _number(c.half_width_cm)
 
 
 def figures_table(title: str, group: str, groups: Mapping[tuple[str, ...], Figures]) -> TableOf:
@@ -193,8 +196,7 @@ def singles_table(singles: Sequence[tuple[str, Outcome]]) -> TableOf:
 def _single_cell(o: Outcome) -> str:
     if not o.answered:
         return o.status
-    low, high = o.interval_mm
-    return f"{o.depth_mm / 10:.1f}{'?' * (o.status == 'ambiguous')}{'*' * (not low <= o.true_mm <= high)}"
+    return f"{o.depth_mm / 10:.1f}{'?' * o.marked}{'*' * (not o.interval_holds)}"
 
 
 def _comparison(outcomes: Sequence[Outcome], focus_mm: float) -> list[TableOf]:
@@ -268,15 +270,20 @@ called ambiguous. Both, and the gross ones, are fractions of all regions; the ot
 5 cm, so that rounding to the 10 cm grid gives the truth. Gross: off by more than 40 cm; unm. gross: and not called
 ambiguous. Flips: not exact, on the wrong side of focus and nearer to the mirror depth than to the focal plane. Fine:
 RMS error of answers neither gross nor flipped; beside it the Cramer-Rao bound of the same regions, for a Gaussian
-texture of known spectrum. In 95 %: the interval holds the truth. Among the intervals, between: shares that so many may
-come from, with 95 % confidence (Clopper and Pearson 1934), as if regions were independent; ± cm: median of half their
-widths. Time: median per region, all regions of a
-frame measured together, of simulated planes on one core; of regions found in a photograph, finding them and the
-all-focus image included."""
+texture of known spectrum. In 95 %: the interval holds the truth. Time: median per region, all regions of a frame
+measured together, of simulated planes on one core; of regions found in a photograph, finding them and the all-focus
+image included.
+
+In the table of intervals n counts answers that have one, and unm. those of them that are not called ambiguous. 95 %
+conf.: confidence interval of the share that holds the truth (Clopper and Pearson 1934), for as many independent regions
+as scatter like these, which share frames (Korn and Graubard 1998). ± cm: median of half their widths."""
 
 
 def tables_json(outcomes: Sequence[Outcome], focus_mm: float) -> dict[str, list[dict[str, Any]]]:
-    """Figures of every table, by name of the grouping, as plain numbers."""
+    """Figures of every table, by name of the grouping, as plain numbers.
+
+    Those by texture and by depth are of all lights together; the intervals of one, which is named.
+    """
     textured = [o for o in outcomes if o.texture != BLANK]
     result: dict[str, list[dict[str, Any]]] = {}
     for name, (parts, key) in GROUPINGS.items():
@@ -284,8 +291,10 @@ def tables_json(outcomes: Sequence[Outcome], focus_mm: float) -> dict[str, list[
             {"method": group[0], **dict(zip(parts, group[1:], strict=False)), **asdict(figures)}
             for group, figures in grouped(textured, key, focus_mm).items()
         ]
+    one = _in_one_light(textured)
     result["intervals"] = [
-        {"method": method, "regions": name, "all": asdict(every), "unmarked": asdict(unmarked)}
-        for (method, name), every, unmarked in _intervals(_in_normal_light(textured))
-    ]
+        {"method": method, "by": by, "regions": name, "light": one[0].light, "all": asdict(every),
+         "unmarked": asdict(unmarked)}
+        for (method, by, name), every, unmarked in _coverages(one)
+    ]  # fmt: skip
     return result

@@ -1,7 +1,7 @@
-"""On which side of focus each cell of a piece lies, so that mirror depths with the same blur don't stay one region.
+"""Which side of focus each cell of a piece speaks for, if any.
 
-Nor what has no side of its own, plaster say, with what has one: it would be lent the side of a thing at its mirror
-depth, which it may well not have.
+Mirror depths with the same blur must not stay one region. Nor must plaster, whose grain tells no side, and a thing at
+its mirror depth: it would be lent that thing's side.
 """
 
 from __future__ import annotations
@@ -24,9 +24,10 @@ FloatArray = NDArray[np.float64]
 _LEAST_RADIUS_PX = 1.5
 """Nearer to focus than this the two sides are the same depth, all but."""
 _SPECTRUM_WINDOWS = 9
-_TELLING, _SCATTER = 3.0, 2.0
-"""Log-odds that a cell of a texture which tells its side has, at least, and their standard deviation from cell to cell.
-Looked at in five sets of ray-traced scenes."""
+_TELLING = 3.0
+"""Log-odds of cells whose texture tells a side of focus are mostly larger than this."""
+_SCATTER = 2.0
+"""Standard deviation of cells' log-odds about what their texture tells. Both were chosen on ray-traced scenes."""
 
 
 def side_odds_by_cell(
@@ -88,12 +89,19 @@ def side_likelihoods(odds: FloatArray) -> FloatArray:
 
 
 def telling_likelihoods(odds: FloatArray) -> FloatArray:
-    """Log-likelihood that a cell's texture tells the far side, the near side or none, float64 (cells, 3).
+    """Log-likelihood of three kinds of texture: that tells the far side, the near side, or none.
+
+    With log-odds ``o``: ``-(max(0, 3 - o) / 2)^2 / 2`` for the far side, ``-(max(0, 3 + o) / 2)^2 / 2`` for the near
+    one (any larger log-odds are as likely), ``-(o / 2)^2 / 2`` for none, each but for the same constant.
 
     Parameters
     ----------
     odds
         float64 (cells,): log-odds of the far side against the near one.
+
+    Returns
+    -------
+    float64 (cells, 3), nats.
     """
-    short = [np.minimum(sign * odds - _TELLING, 0.0) for sign in (1.0, -1.0)]
+    short = [np.maximum(_TELLING - sign * odds, 0.0) for sign in (1.0, -1.0)]
     return np.asarray(-0.5 * (np.stack([*short, odds], axis=1) / _SCATTER) ** 2)

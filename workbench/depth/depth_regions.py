@@ -6,8 +6,8 @@ merged, the most compatible first, as long as one common radius explains both ne
 windows see little of their neighbours, and often little else; what goes with anything goes with its own colour. The
 outlines come from the colour regions: one that lies within one piece goes to it as a whole, one that spans several is
 cut along the grid. Radii are compared without their side of focus first, which single windows can't tell; then what
-has one radius is merged anew by whether its texture tells a side, so that none is lent its neighbour's, and what is one
-by that by the side itself, so that two objects at mirror depths don't stay one.
+has one radius is merged anew by what its texture tells: the far side, the near one, or none, so that nothing is lent
+its neighbour's side. Last come the sides themselves, so that two objects at mirror depths don't stay one.
 """
 
 from __future__ import annotations
@@ -52,9 +52,12 @@ class DepthRegionOptions:
         Spacing of the grid: at least so many pixels, and at most so many cells along the longer side.
     radius_step_px
         Step between the radii that are compared.
-    tolerance, telling_tolerance, side_tolerance
-        Log-likelihood that two pieces may lose by a common radius, by textures that tell the same or nothing about the
-        side of focus, or by a common side, and still be merged.
+    tolerance
+        Log-likelihood (nats) that two pieces may lose by a common radius and still be merged.
+    telling_tolerance
+        The same by a common kind of texture, one that tells the far side, the near one, or none.
+    side_tolerance
+        The same by a common side of focus.
     least_cells
         A piece of fewer cells is given to the neighbour that suits it best.
     whole_share

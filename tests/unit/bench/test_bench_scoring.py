@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 import pytest
 from bench_drawings import FOCUS_MM, outcome
 
-from workbench.bench.intervals import held
+from workbench.bench.interval_coverage import confidence_interval, coverage_of
 from workbench.bench.scoring import summarise
 from workbench.bench.tables import accuracy_tables, band_name, markdown_page, singles_table, tables_json
 
@@ -95,31 +96,60 @@ def test_single_answers_show_doubt_and_missed_intervals() -> None:
     assert [row[3] for row in rows] == ["100.4", "120.0?*", "no-texture"]
 
 
-def test_intervals_are_counted_with_what_so_many_regions_tell() -> None:
-    right, wrong = (1900.0, 2100.0), (2010.0, 2100.0)
-    outcomes = [outcome(2000, 2000, interval_mm=right)] * 18 + [outcome(2000, 2050, interval_mm=wrong)]
-    found = held([*outcomes, outcome(2000, 1400, interval_mm=wrong, status="ambiguous"), outcome(2000, 2000)])
+RIGHT, WRONG = (1900.0, 2100.0), (2010.0, 2100.0)
+"""Intervals that hold 2 m, and don't."""
+
+
+def test_coverage_has_a_confidence_interval() -> None:
+    outcomes = [outcome(2000, 2000, interval_mm=RIGHT, texture=str(i)) for i in range(18)]
+    outcomes += [outcome(2000, 2050, interval_mm=WRONG, texture="18"), outcome(2000, 1400, interval_mm=WRONG)]
+    found = coverage_of([*outcomes, outcome(2000, 2000)])
     assert found.count == 20  # the last one has no interval
-    assert found.share == pytest.approx(18 / 20)
-    assert found.between == pytest.approx((0.683, 0.988), abs=1e-3)  # Clopper and Pearson's for 18 of 20
+    assert found.coverage == pytest.approx(18 / 20)
+    assert found.confidence_interval == pytest.approx((0.683, 0.988), abs=1e-3)  # Clopper and Pearson's for 18 of 20
     assert found.half_width_cm == pytest.approx(10.0)
-    assert held(outcomes, unmarked=True).count == 19
-    assert math.isnan(held([outcome(2000, 2000)]).share)
+    assert math.isnan(coverage_of([outcome(2000, 2000)]).coverage)
 
 
-def test_intervals_by_texture_band_and_size_in_normal_light() -> None:
-    right = (1900.0, 2100.0)
-    outcomes = [outcome(2000, 2000, interval_mm=right, light=light) for light in ("normal", "dim")]
-    outcomes.append(outcome(2000, 2000, interval_mm=right, status="ambiguous", light="normal"))
-    table = next(t for t in accuracy_tables(outcomes, FOCUS_MM) if t.title == "Intervals of 95 % (normal light)")
-    assert [row[:4] for row in table.rows] == [
-        ("m", name, 2, "100.0") for name in (outcomes[0].texture, "180 to 250 cm", outcomes[0].size)
+def test_regions_that_err_together_tell_less() -> None:
+    """Twenty frames of four regions: in two of them all four are wrong, or eight frames have one that is."""
+    total = np.full(20, 4.0)
+    together = confidence_interval(np.array([0.0, 0.0, *[4.0] * 18]), total)
+    apart = confidence_interval(np.array([*[3.0] * 8, *[4.0] * 12]), total)
+    assert apart == pytest.approx((0.812, 0.956), abs=1e-3)  # as of 72 of 80 independent ones
+    assert together == pytest.approx((0.662, 0.990), abs=1e-3)  # as of 17 independent ones, 18 of 20 give 0.683, 0.988
+    assert confidence_interval(np.array([4.0, 4.0]), np.array([4.0, 4.0])) == pytest.approx((0.631, 1.0), abs=1e-3)
+
+
+def test_intervals_by_texture_band_and_size_in_one_light() -> None:
+    outcomes = [
+        outcome(true_mm, true_mm, interval_mm=(true_mm - 10.0, true_mm + 10.0), method=method, light=light)
+        for light in ("dim", "dimmer") for method in ("a", "b") for true_mm in (3000.0, 700.0)
+    ]  # fmt: skip
+    # a texture's name may be that of a size
+    outcomes.append(
+        outcome(700, 700, interval_mm=(0.0, 1.0), method="a", light="dim", texture="128", status="ambiguous")
+    )
+    table = next(t for t in accuracy_tables(outcomes, FOCUS_MM) if t.title == "Intervals of 95 % (dim light)")
+    assert [row[:5] for row in table.rows] == [
+        ("a", "texture", "chart", 2, "100.0"),
+        ("b", "texture", "chart", 2, "100.0"),
+        ("a", "texture", "128", 1, "0.0"),
+        ("a", "depth", "nearer than 100 cm", 2, "50.0"),
+        ("b", "depth", "nearer than 100 cm", 1, "100.0"),
+        ("a", "depth", "beyond 250 cm", 1, "100.0"),
+        ("b", "depth", "beyond 250 cm", 1, "100.0"),
+        ("a", "size", "128", 3, "66.7"),
+        ("b", "size", "128", 2, "100.0"),
     ]
-    assert {row[table.columns.index("unm. n")] for row in table.rows} == {1}
-    entry = tables_json(outcomes, FOCUS_MM)["intervals"][0]
-    assert (entry["all"]["count"], entry["unmarked"]["count"]) == (2, 1)
-    without = [outcome(2000, 2000)]
-    assert not any(t.title.startswith("Intervals") for t in accuracy_tables(without, FOCUS_MM))
+    assert [row[table.columns.index("unm. n")] for row in table.rows] == [2, 2, 0, 1, 1, 1, 1, 2, 2]
+    entry = tables_json(outcomes, FOCUS_MM)["intervals"][2]
+    assert (entry["by"], entry["regions"], entry["light"]) == ("texture", "128", "dim")
+    assert (entry["all"]["count"], entry["unmarked"]["count"]) == (1, 0)
+
+
+def test_methods_without_intervals_have_no_table_of_them() -> None:
+    assert not any(t.title.startswith("Intervals") for t in accuracy_tables([outcome(2000, 2000)], FOCUS_MM))
 
 
 def test_page_and_json_hold_every_group() -> None:

@@ -149,8 +149,8 @@ def test_piece_of_too_few_cells_goes_where_it_loses_least() -> None:
 
 
 def test_cells_tell_a_side_or_none() -> None:
-    likelihood = telling_likelihoods(np.array([0.0, 1.0, 5.0, 50.0, -5.0]))
     far, near, none = 0, 1, 2
+    likelihood = telling_likelihoods(np.array([0.0, 1.0, 5.0, 50.0, -5.0]))
     assert likelihood.argmax(axis=1).tolist() == [none, none, far, far, near]
     assert likelihood[2, far] == likelihood[3, far] == likelihood[4, near] == 0.0
-    np.testing.assert_allclose(likelihood[1], [-0.5, -2.0, -0.125])  # 2, 4 and 1 from 3, -3 and 0, by 2
+    np.testing.assert_allclose(likelihood[[2, 4]], likelihood[[4, 2]][:, [near, far, none]])  # sides are alike
