@@ -285,7 +285,8 @@ def measure_region(
     is_uneven = seen.varied > options.varied_log_likelihood
     is_uneven = is_uneven or parts_loss(seen.parts, model) > options.parts_log_likelihood
     estimate = _conclude(seen, model, learned, options, is_uneven=is_uneven, outlines_found=outlines_found)
-    if not is_uneven:
+    own_px = abs(model.psfs.radius_px(estimate.depth_mm))
+    if not is_uneven and parts_loss(seen.parts, model, own_px) <= options.parts_log_likelihood:
         return estimate
     return uneven(estimate, read_parts(seen.parts, seen.view, model, learned, options))
 

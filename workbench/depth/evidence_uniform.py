@@ -139,13 +139,23 @@ def fit_parts(
     return parts
 
 
-def parts_loss(parts: Sequence[Part], model: DepthModel) -> float:
-    """Log-likelihood that parts lose when they share one blur, to two pixels and 5 % of its radius."""
+def parts_loss(parts: Sequence[Part], model: DepthModel, radius_px: float | None = None) -> float:
+    """Log-likelihood that parts lose when they share one blur, to two pixels and 5 % of its radius.
+
+    Parameters
+    ----------
+    parts
+        As fitted.
+    model
+        Radii of the blurs.
+    radius_px
+        |radius| of that blur; the one that suits them best if none is given.
+    """
     if len(parts) < 2:
         return 0.0
     radius = np.abs(model.row_radius_px[_ROWS])
     each = np.stack([part.fit.log_likelihood for part in parts])
-    shared = float(radius[each.sum(axis=0).argmax()])
+    shared = float(radius[each.sum(axis=0).argmax()]) if radius_px is None else radius_px
     alike = np.abs(radius - shared) <= _SAME_PX + _SAME_SHARE * shared
     lost = np.maximum(each.max(axis=1) - each[:, alike].max(axis=1) - _CHANCE, 0.0)
     return float(np.where(radius[each.argmax(axis=1)] < _FOCUS_PX, _FOCUS_TRUST, 1.0) @ lost)
