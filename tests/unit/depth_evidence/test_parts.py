@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from calibration.bank import Bank
 from calibration.image import LinearImage
-from tests.unit.depth_evidence.synthetic import as_image, leaves, photograph
+from tests.unit.depth_evidence.synthetic import as_image, leaves, photograph, radius_px
+from workbench.depth import evidence
 from workbench.depth.estimate import DepthEstimate
 from workbench.depth.evidence import EvidenceOptions, estimate_evidence, observe, prepare
 from workbench.depth.evidence_doubt import uneven
@@ -64,6 +66,31 @@ def test_sharp_object_does_not_speak_for_the_blurred_rest_of_its_region(bank: Ba
     assert found.interval_mm[1] > 2900.0
     deaf = EvidenceOptions(parts_log_likelihood=1e9)
     assert "not the same all over" not in estimate_evidence(image, bank, whole(image.shape), deaf)[1].reason
+
+
+def test_parts_are_asked_for_the_answers_blur_too(bank: Bank, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Three parts far from focus and one that claims it, which counts little: sharing a blur, theirs, costs little."""
+    image, options = photograph(leaves(SIDE + 128, 16), 2100.0), EvidenceOptions()
+    mask, model = np.ones(image.shape, bool), prepare(bank, options)
+    windows = place_windows(mask, soft_mask(mask, margin_px=0, ramp_px=1)[0], 64, least_weight=0.3)
+    part = fit_parts(image.luminance, windows, mask, model, options)[0]
+    apart = np.abs(np.abs(model.row_radius_px[::3])[:, np.newaxis] - (12.0, 12.0, 12.0, 0.0))
+    told = [replace(part, fit=replace(part.fit, log_likelihood=-31.0 * np.minimum(a / 4.0, 1.0))) for a in apart.T]
+    assert parts_loss(told, model) == pytest.approx(0.1 * 30.0, rel=0.1)
+    assert parts_loss(told, model, 12.0) == pytest.approx(0.1 * 30.0, rel=0.1)
+    assert parts_loss(told, model, 0.0) == pytest.approx(3 * 30.0, rel=0.1)
+
+    asked: list[float | None] = []
+
+    def denying(_parts: object, _model: object, radius_px: float | None = None) -> float:
+        asked.append(radius_px)
+        return 0.0 if radius_px is None else 1e3
+
+    monkeypatch.setattr(evidence, "parts_loss", denying)
+    found = estimate_evidence(image, bank, whole(image.shape))[1]
+    assert asked == [None, pytest.approx(abs(radius_px(found.depth_mm)), abs=0.1)]
+    assert found.status == "ambiguous"
+    assert "not the same all over" in found.reason
 
 
 def test_quarters_of_a_region_have_as_many_pixels_each() -> None:
