@@ -60,7 +60,8 @@ class EvidenceOptions:
         single blur, makes a region ambiguous: its surface is slanted, or it holds several depths. What it explains
         worse sets how far the likelihood is trusted about its modes, and the interval's width; that is set for 4 px.
     parts_log_likelihood
-        So does what the region's parts lose, together, by sharing one blur.
+        So does what the region's parts lose, together, by sharing one blur: the one that suits them best, or the
+        answer's.
     least_evidence
         Log-likelihood that texture must gain over noise alone.
     colour_gain
