@@ -69,7 +69,7 @@ def confidence_interval(right: FloatArray, total: FloatArray) -> tuple[float, fl
         variance = clusters / (clusters - 1) * float(((right - fraction * total) ** 2).sum()) / trials**2
         design_effect = variance / (fraction * (1.0 - fraction) / (trials - 1))
         few = float(stats.t.ppf(0.975, trials - 1) / stats.t.ppf(0.975, clusters - 1)) ** 2
-        trials = min(trials, trials * few / design_effect)
+        trials *= few / max(design_effect, few)
     held, missed = trials * fraction, trials * (1.0 - fraction)
     low = float(stats.beta.ppf(0.025, held, missed + 1.0)) if held > 0 else 0.0
     high = float(stats.beta.ppf(0.975, held + 1.0, missed)) if missed > 0 else 1.0

@@ -118,6 +118,8 @@ def test_regions_that_err_together_tell_less() -> None:
     apart = confidence_interval(np.array([*[3.0] * 8, *[4.0] * 12]), total)
     assert apart == pytest.approx((0.812, 0.956), abs=1e-3)  # as of 72 of 80 independent ones
     assert together == pytest.approx((0.662, 0.990), abs=1e-3)  # as of 17 independent ones, 18 of 20 give 0.683, 0.988
+    evenly = confidence_interval(np.full(20, 3.0), total)
+    assert evenly == pytest.approx((0.641, 0.840), abs=1e-3)  # never as of more than the 80 that there are
     assert confidence_interval(np.array([4.0, 4.0]), np.array([4.0, 4.0])) == pytest.approx((0.631, 1.0), abs=1e-3)
 
 
