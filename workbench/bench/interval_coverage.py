@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from workbench.bench.scoring import Outcome
+from workbench.bench.scoring import Outcome, split
 
 FloatArray = NDArray[np.float64]
 
@@ -43,10 +43,9 @@ def coverage_of(outcomes: Sequence[Outcome]) -> Coverage:
     if not chosen:
         return Coverage(0, math.nan, (math.nan, math.nan), math.nan)
     # regions of one texture at one depth in one light are cut from one frame, or are one thing measured twice
-    things: dict[tuple[str, float, str], list[bool]] = {}
-    for o in chosen:
-        things.setdefault((o.texture, o.true_mm, o.light), []).append(o.interval_holds)
-    right, total = (np.array([float(f(held)) for held in things.values()]) for f in (sum, len))
+    things = split(chosen, lambda o: (o.texture, o.true_mm, o.light)).values()
+    right = np.array([float(sum(o.interval_holds for o in thing)) for thing in things])
+    total = np.array([float(len(thing)) for thing in things])
     widths = [o.interval_mm[1] - o.interval_mm[0] for o in chosen]
     return Coverage(
         len(chosen), float(right.sum() / total.sum()), confidence_interval(right, total), float(np.median(widths)) / 20

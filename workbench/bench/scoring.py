@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Hashable, Iterable, Sequence
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float64]
+Name = TypeVar("Name", bound=Hashable)
 
 GROSS_MM = 400.0
 NEAR_MM = 100.0
@@ -161,11 +163,9 @@ def grouped(
     return {name: summarise(group, focus_mm) for name, group in split(outcomes, key).items()}
 
 
-def split(
-    outcomes: Iterable[Outcome], key: Callable[[Outcome], tuple[str, ...]]
-) -> dict[tuple[str, ...], list[Outcome]]:
+def split(outcomes: Iterable[Outcome], key: Callable[[Outcome], Name]) -> dict[Name, list[Outcome]]:
     """Outcomes per group, groups in order of first appearance."""
-    groups: dict[tuple[str, ...], list[Outcome]] = {}
+    groups: dict[Name, list[Outcome]] = {}
     for outcome in outcomes:
         groups.setdefault(key(outcome), []).append(outcome)
     return groups

@@ -45,6 +45,10 @@ def band_name(depth_mm: float) -> str:
     return f"{low / 10:.0f} to {high / 10:.0f} cm" if low else f"nearer than {high / 10:.0f} cm"
 
 
+def _method_and_size(o: Outcome) -> tuple[str, str]:
+    return o.method, o.size
+
+
 Key = Callable[[Outcome], tuple[str, ...]]
 GROUPINGS: Mapping[str, tuple[tuple[str, ...], Key]] = {
     "size and light": (("size", "light"), lambda o: (o.method, o.size, *([o.light] if o.light else []))),
@@ -58,7 +62,7 @@ _FIGURE_COLUMNS = (
 
 _COVERAGE_COLUMNS = ("n", "in 95 %", "95 % conf.", "± cm")
 _COVERAGE_GROUPINGS: Mapping[str, Key] = {
-    **{name: GROUPINGS[name][1] for name in ("texture", "depth")}, "size": lambda o: (o.method, o.size)
+    **{name: GROUPINGS[name][1] for name in ("texture", "depth")}, "size": _method_and_size
 }  # fmt: skip
 
 
@@ -208,7 +212,7 @@ def _comparison(outcomes: Sequence[Outcome], focus_mm: float) -> list[TableOf]:
     if len(by_method) < 2 or all(cases == common for cases in by_method.values()) or not common:
         return []
     chosen = [o for o in outcomes if _case_of(o) in common]
-    groups = grouped(chosen, lambda o: (o.method, o.size), focus_mm)
+    groups = grouped(chosen, _method_and_size, focus_mm)
     return [figures_table("Side by side: the regions that every method measured", "size", _ordered(groups, "size"))]
 
 
@@ -217,12 +221,9 @@ def _case_of(o: Outcome) -> tuple[object, ...]:
 
 
 def _blank_table(blank: Sequence[Outcome]) -> TableOf:
-    groups: dict[tuple[str, str], list[Outcome]] = {}
-    for o in blank:
-        groups.setdefault((o.method, o.size), []).append(o)
     rows = tuple(
         (method, size, len(group), percent(sum(not o.answered for o in group) / len(group)))
-        for (method, size), group in groups.items()
+        for (method, size), group in split(blank, _method_and_size).items()
     )
     return TableOf("A blank wall", ("method", "size", "n", "refused"), rows)
 
