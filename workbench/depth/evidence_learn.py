@@ -18,9 +18,9 @@ from scipy.optimize import minimize
 from scipy.special import logsumexp
 
 from calibration.bank import Bank
-from workbench.depth.evidence import observe
 from workbench.depth.evidence_kernels import drawn_finer
 from workbench.depth.evidence_model import LEARNED, DepthModel, EvidenceOptions, Learned, prepare
+from workbench.depth.evidence_observation import observe
 from workbench.depth.evidence_posterior import find_modes, least_error_px, mode_scores, peak_of
 from workbench.depth.evidence_side import FAMILIES, SPARSENESS, Comparison
 from workbench.depth.evidence_textures import blurred_texture

@@ -50,6 +50,8 @@ class Method:
         Whether ``estimate`` also takes ``workers``.
     knows_outlines
         Whether it also takes ``outlines_found``.
+    over_field
+        Whether it takes banks over the field as they are; others get that of a region's place, for each region.
     """
 
     name: str
@@ -58,6 +60,7 @@ class Method:
     options: type
     in_threads: bool = False
     knows_outlines: bool = False
+    over_field: bool = False
 
 
 METHODS: dict[str, Method] = {
@@ -70,6 +73,7 @@ METHODS: dict[str, Method] = {
             EvidenceOptions,
             in_threads=True,
             knows_outlines=True,
+            over_field=True,
         ),
         Method("sharpness", "Kim 2021, sharpness assessment", estimate_sharpness, SharpnessOptions, in_threads=True),
         Method("levin", "Levin, Fergus, Durand and Freeman 2007", estimate_levin, LevinOptions),
@@ -180,13 +184,13 @@ def estimate_depths(
     chosen, options = make_options(method, settings)
     told = {"outlines_found": outlines_found} if chosen.knows_outlines else {}
     threads = {"workers": workers} if chosen.in_threads else {}
-    if len(bank.field_yx) == 1:
+    if len(bank.field_yx) == 1 or chosen.over_field:
         return chosen.estimate(image, bank, labels, options, **told, **threads)
 
     def in_place(label: int) -> dict[int, DepthEstimate]:
         mask = labels == label
         here = bank_at(bank, region_place(mask))
-        return chosen.estimate(image, here, np.where(mask, labels, 0).astype(np.int32), options, **told)
+        return chosen.estimate(image, here, np.where(mask, labels, 0).astype(np.int32), options)
 
     parts = each(in_place, np.unique(labels[labels > 0]).tolist(), threads.get("workers", 1))
     return {label: estimate for part in parts for label, estimate in part.items()}

@@ -11,8 +11,9 @@ from scipy.stats import norm
 from calibration.bank import Bank
 from calibration.pupil import interpolator_of_bank
 from tests.unit.depth_evidence.synthetic import leaves, make_bank, photograph, with_pupil
-from workbench.depth.evidence import estimate_evidence, observe, prepare
+from workbench.depth.evidence import estimate_evidence, prepare
 from workbench.depth.evidence_model import EvidenceOptions, Learned
+from workbench.depth.evidence_observation import observe
 from workbench.depth.evidence_posterior import least_error_px, log_prior, signed_posterior, summarise
 from workbench.depth.evidence_uniform import trust_in_one_blur
 from workbench.depth.methods import estimate_depths
@@ -88,7 +89,7 @@ def test_interval_follows_the_trust(bank: Bank, monkeypatch: pytest.MonkeyPatch)
     found = estimate_evidence(image, bank, whole(image.shape))[1]
     widths = []
     for trust in (0.5, 1.0, 20.0):
-        monkeypatch.setattr("workbench.depth.evidence.trust_in_one_blur", lambda _, trust=trust: trust)
+        monkeypatch.setattr("workbench.depth.evidence_findings.trust_in_one_blur", lambda _, trust=trust: trust)
         other = estimate_evidence(image, bank, whole(image.shape))[1]
         assert (other.depth_mm, other.status) == (found.depth_mm, found.status)
         widths.append(np.ptp(other.interval_mm))

@@ -15,9 +15,10 @@ from tests.unit.depth_evidence.synthetic import as_image, draw_psf, leaves, phot
 from tests.unit.depth_evidence.test_side import FAR, NEAR, SIDE, psfs, texture_spectrum
 from workbench.depth import evidence_view
 from workbench.depth.estimate import DepthEstimate
-from workbench.depth.evidence import estimate_evidence, observe
+from workbench.depth.evidence import estimate_evidence
 from workbench.depth.evidence_doubt import unless_another_blur_fits, unless_negative
 from workbench.depth.evidence_model import DepthModel, EvidenceOptions, Learned, prepare
+from workbench.depth.evidence_observation import observe
 from workbench.depth.evidence_posterior import mode_scores, negative_cost
 from workbench.depth.evidence_restoration import cut_patches, root_mean_square_gain, transfer_of, wiener
 from workbench.depth.evidence_side import STATISTICS, Comparison, compare, favour_by_window

@@ -11,11 +11,12 @@ import pytest
 from calibration.bank import Bank
 from calibration.image import LinearImage
 from tests.unit.depth_evidence.synthetic import as_image, leaves, photograph, radius_px
-from workbench.depth import evidence
+from workbench.depth import evidence_findings
 from workbench.depth.estimate import DepthEstimate
-from workbench.depth.evidence import EvidenceOptions, estimate_evidence, observe, prepare
+from workbench.depth.evidence import EvidenceOptions, estimate_evidence, prepare
 from workbench.depth.evidence_doubt import uneven
 from workbench.depth.evidence_model import Learned
+from workbench.depth.evidence_observation import observe
 from workbench.depth.evidence_uniform import Reading, fit_parts, parts_loss, quarter_cuts, read_parts
 from workbench.depth.evidence_windows import place_windows, soft_mask
 from workbench.depth.regions import whole
@@ -86,9 +87,10 @@ def test_parts_are_asked_for_the_answers_blur_too(bank: Bank, monkeypatch: pytes
         asked.append(radius_px)
         return 0.0 if radius_px is None else 1e3
 
-    monkeypatch.setattr(evidence, "parts_loss", denying)
+    monkeypatch.setattr(evidence_findings, "parts_loss", denying)
     found = estimate_evidence(image, bank, whole(image.shape))[1]
-    assert asked == [None, pytest.approx(abs(radius_px(found.depth_mm)), abs=0.2)]
+    assert asked[0] is None
+    assert asked[-1] == pytest.approx(abs(radius_px(found.depth_mm)), abs=0.2)
     assert found.status == "ambiguous"
     assert "not the same all over" in found.reason
 

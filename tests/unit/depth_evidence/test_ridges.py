@@ -9,7 +9,8 @@ import pytest
 from calibration.bank import Bank
 from tests.unit.depth_evidence.synthetic import leaves, photograph
 from workbench.depth import evidence_spectrum
-from workbench.depth.evidence import EvidenceOptions, estimate_evidence, observe, prepare
+from workbench.depth.evidence import EvidenceOptions, estimate_evidence, prepare
+from workbench.depth.evidence_observation import observe
 from workbench.depth.evidence_ridges import MOST_RIDGES, UNEXPLAINED, VISIBLE, ridge_directions
 from workbench.depth.evidence_spectrum import frequencies
 
