@@ -121,8 +121,7 @@ def regions_of_one_depth(
     telling, sides = telling_likelihoods(odds), side_likelihoods(odds)
     pieces = merge_cells(telling, colours, shape, pieces, options.telling_tolerance, options.least_cells)
     pieces = merge_cells(sides, colours, shape, pieces, options.side_tolerance, options.least_cells)
-    by_pixel = pieces.reshape(shape).repeat(cell, axis=0)[:height].repeat(cell, axis=1)[:, :width]
-    return _by_size(_with_outlines(by_pixel, labels, options.whole_share), options.least_fraction)
+    return _by_size(_with_outlines(pieces.reshape(shape), cell, labels, options.whole_share), options.least_fraction)
 
 
 def _cell_windows(
@@ -171,14 +170,31 @@ def _low_half(power: NDArray[np.floating]) -> NDArray[np.floating]:
     return np.ascontiguousarray(power[:, rows, : n // 4 + 1])
 
 
-def _with_outlines(pieces: Labels, labels: Labels, whole_share: float) -> Labels:
-    """Give each colour region that lies mostly within one piece to it as a whole."""
+def _with_outlines(pieces: Labels, cell: int, labels: Labels, whole_share: float) -> Labels:
+    """Pieces (rows, columns of cells) with the outlines of the colour regions, int32 (H, W).
+
+    A colour region that lies mostly within one piece belongs to it as a whole. One that spans several is cut along the
+    cells; but in a piece where others that belong there are more than it is, it is only seen by the windows: what
+    lies there goes to the nearest piece where it is at home.
+    """
+    rows, columns = (np.arange(length) // cell for length in labels.shape)
+    by_pixel = pieces[np.ix_(rows, columns)]
     count = int(pieces.max()) + 1
-    joint = np.bincount(labels.ravel().astype(np.int64) * count + pieces.ravel(), minlength=(labels.max() + 1) * count)
-    shares = joint.reshape(-1, count)
-    owner = shares.argmax(axis=1)
-    whole = shares.max(axis=1) >= whole_share * np.maximum(shares.sum(axis=1), 1)
-    return np.where(whole[labels], owner[labels], pieces).astype(np.int32)
+    joint = labels.astype(np.int64) * count + by_pixel
+    shares = np.bincount(joint.ravel(), minlength=(int(labels.max()) + 1) * count).reshape(-1, count)
+    owner, sizes = shares.argmax(axis=1), shares.sum(axis=1)
+    is_whole = shares.max(axis=1) >= whole_share * np.maximum(sizes, 1)
+    result = np.where(is_whole[labels], owner[labels], by_pixel).astype(np.int32)
+    owned = np.bincount(owner[is_whole], sizes[is_whole], minlength=count)
+    boxes = ndimage.find_objects(labels)
+    for region in np.flatnonzero(~is_whole):
+        at_home, as_guest = shares[region] >= np.maximum(owned, 1), (shares[region] > 0) & (shares[region] < owned)
+        if at_home.any() and as_guest.any():
+            nearest = ndimage.distance_transform_edt(~at_home[pieces], return_distances=False, return_indices=True)
+            box = boxes[region - 1]
+            homes = pieces[tuple(nearest)][np.ix_(rows[box[0]], columns[box[1]])]
+            result[box] = np.where(labels[box] == region, homes, result[box])
+    return result
 
 
 def _by_size(pieces: Labels, least_fraction: float) -> Labels:

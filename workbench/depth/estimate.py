@@ -37,6 +37,9 @@ class DepthEstimate:
         Pixels that were used (inner part of the region).
     reason
         One sentence when status is not ok.
+    outline_odds
+        Log-odds (nats) that the region's outlines gave its side of focus, against the mirror depth; 0 where they say
+        nothing.
     diagnostics
         Further arrays for figures, by name.
     """
@@ -52,6 +55,7 @@ class DepthEstimate:
     second_mm: float
     pixels: int
     reason: str = ""
+    outline_odds: float = 0.0
     diagnostics: Mapping[str, NDArray[np.float64]] = field(default_factory=dict)
 
 

@@ -6,7 +6,7 @@ are looked at before any is concluded. Findings hold what a conclusion needs and
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -174,6 +174,10 @@ def conclude(
     far, near = findings.far + told[0], findings.near + told[1]
     estimate = _single_depth(findings, far, near, options, outlines_found=outlines_found)
     own_px = abs(model.psfs.radius_px(estimate.depth_mm))
+    if np.isfinite(estimate.mirror_mm):
+        mode = int(np.abs(np.abs(findings.mode_radius_px) - own_px).argmin())
+        side = float(np.sign(model.psfs.radius_px(estimate.depth_mm)))
+        estimate = replace(estimate, outline_odds=side * float(told[0, mode] - told[1, mode]))
     if not findings.is_mixed and parts_loss(findings.parts, model, own_px) <= options.parts_log_likelihood:
         return estimate
     return uneven(estimate, findings.readings)
@@ -246,7 +250,6 @@ def _single_depth(
         "log_likelihood_noise": np.array([findings.null]),
         "mode_radius_px": findings.mode_radius_px,
         "mode_sparseness_far_near": np.stack([findings.far, findings.near]),
-        "mode_outlines_far_near": np.stack([far - findings.far, near - findings.near]),
     }
     best_px = float(sigma[log_post.argmax()])
     row = int(np.abs(np.abs(model.row_radius_px) - abs(best_px)).argmin())

@@ -104,8 +104,16 @@ def _region_row(number: int, e: DepthEstimate, true_mm: float | None, name: str)
         "confidence": fixed(e.confidence, 2), "mirror": cm(e.mirror_mm, 1),
         "mirror_probability": _mirror_probability(e), "second": cm(e.second_mm, 1),
         "pixels": f"{e.pixels:,}".replace(",", "\N{NARROW NO-BREAK SPACE}"), "status": e.status,
-        "glyph": GLYPHS[e.status], "reason": e.reason,
+        "glyph": GLYPHS[e.status], "notes": [note for note in (e.reason, _outline_note(e)) if note],
     }  # fmt: skip
+
+
+def _outline_note(e: DepthEstimate) -> str:
+    """What a region's outlines say of its side of focus, where they say something."""
+    if abs(e.outline_odds) < 1.0:
+        return ""
+    speak = "for" if e.outline_odds > 0 else "against"
+    return f"its outlines speak {speak} this side of focus ({abs(e.outline_odds):.1f} nats)"
 
 
 def _mirror_probability(e: DepthEstimate) -> str:

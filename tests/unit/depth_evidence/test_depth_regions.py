@@ -154,3 +154,21 @@ def test_cells_tell_a_side_or_none() -> None:
     assert likelihood.argmax(axis=1).tolist() == [none, none, far, far, near]
     assert likelihood[2, far] == likelihood[3, far] == likelihood[4, near] == 0.0
     np.testing.assert_allclose(likelihood[[2, 4]], likelihood[[4, 2]][:, [near, far, none]])  # sides are alike
+
+
+def test_what_of_a_colour_lies_in_cells_of_another_surface_goes_home(bank: Bank) -> None:
+    """One colour at two depths, and a thing between them whose cells hold a strip of it on both sides."""
+    planes = [
+        photograph(leaves(SIDE + 40, seed), depth).planes for seed, depth in ((3, 2900.0), (4, 1300.0), (5, 2000.0))
+    ]
+    image = as_image(np.concatenate(planes, axis=1))
+    ends = np.cumsum([part.shape[1] for part in planes])[:2]
+    assert all(end % 48 > 5 for end in ends)  # outlines lie within cells
+    colours = tiles(image)
+    colours[:, : ends[0]] = colours[:, ends[1] :] = 1
+    labels = regions_of_one_depth(image, bank, colours)
+    thing = np.bincount(labels[:, ends[0] : ends[1]].ravel()).argmax()
+    inside = np.zeros(labels.shape, bool)
+    inside[:, ends[0] : ends[1]] = True
+    assert (labels[~inside] == thing).mean() < 0.005
+    assert (labels[inside] == thing).mean() > 0.97
