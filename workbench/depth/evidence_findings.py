@@ -49,6 +49,8 @@ Mask = NDArray[np.bool_]
 _REFINED_WITHIN, _NARROW = 30.0, 5.0
 """Modes within so much log-likelihood of the best, unweighted as in all that comes before the posterior, are looked at
 more finely where it falls by so much to the next rows."""
+_SAME_PX, _OPEN = 2.0, 1e-3
+"""A region is sure of itself where all blurs that differ by more than so much are less likely than this together."""
 _READ_FROM = 0.5
 """Parts are read where they lose this part of what makes a region uneven, for any of the blurs that it may have."""
 
@@ -148,7 +150,10 @@ def candidates_of(findings: Findings, options: EvidenceOptions) -> Candidates:
     own_px = float(np.abs(sigma).ravel()[np.where(sides, log, -np.inf).argmax()])
     is_one = not findings.is_mixed and parts_loss(findings.parts, model, own_px) <= options.parts_log_likelihood
     depths = np.array([model.depth_mm(min(float(value), model.farthest_px)) for value in sigma[sides]])
-    return Candidates(depths, log[sides] - logsumexp(log[sides]), is_one=is_one)
+    log_probability = log[sides] - logsumexp(log[sides])
+    others = np.abs(sigma[sides] - sigma[sides][log_probability.argmax()]) > _SAME_PX
+    is_open = bool(np.exp(log_probability[others]).sum() > _OPEN)
+    return Candidates(depths, log_probability, is_one=is_one, is_open=is_open)
 
 
 def conclude(

@@ -44,11 +44,14 @@ class Candidates:
         float64 (n,) each; probabilities sum to 1.
     is_one
         Whether the region has one depth. What its neighbours hear of one that hasn't is that it may be anywhere.
+    is_open
+        Whether anything is left to ask outlines for. Those between two regions that are sure are not looked at.
     """
 
     depth_mm: FloatArray
     log_probability: FloatArray
     is_one: bool = True
+    is_open: bool = True
 
 
 def order_by_outlines(
@@ -94,7 +97,7 @@ def order_by_outlines(
     def of_outline(outline: Outline) -> list[tuple[int, FloatArray]]:
         meeting = [regions[outline.first] or unknown, regions[outline.second] or unknown]
         known = [region for region in meeting if region is not unknown]
-        if not known:
+        if not any(region.is_open for region in known):
             return []
         steps = steps_at(_place(outline, labels.shape))
         profiles = read_profiles(image.planes, labels, outline, _reach(known, steps.psfs))

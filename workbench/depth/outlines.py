@@ -79,7 +79,7 @@ def find_outlines(labels: Labels) -> list[Outline]:
     Parameters
     ----------
     labels
-        int32 (H, W): region of each pixel, 0 = none.
+        int32 (H, W): region of each pixel, 0 = none. Regions with pixels of none between them don't meet.
 
     Returns
     -------
@@ -152,7 +152,7 @@ def _borders(labels: Labels) -> tuple[FloatArray, Labels]:
     points, sides = [], []
     for down, right in ((0, 1), (1, 0)):
         here, there = labels[: labels.shape[0] - down, : labels.shape[1] - right], labels[down:, right:]
-        yx = np.argwhere(here != there)
+        yx = np.argwhere((here != there) & (here > 0) & (there > 0))
         thin = np.unique(
             np.column_stack([yx // _SPACING_PX, here[tuple(yx.T)], there[tuple(yx.T)]]), axis=0, return_index=True
         )[1]
