@@ -174,8 +174,8 @@ def _with_outlines(pieces: Labels, cell: int, labels: Labels, whole_share: float
     """Pieces (rows, columns of cells) with the outlines of the colour regions, int32 (H, W).
 
     A colour region that lies mostly within one piece belongs to it as a whole. One that spans several is cut along the
-    cells; but in a piece where others that belong there are more than it is, it is only seen by the windows: what
-    lies there goes to the nearest piece where it is at home.
+    cells; but in a piece of which whole ones are more than it is, or where it doesn't fill a cell, it is a guest: what
+    lies there goes to the nearest piece where it is at home, if there is one.
     """
     rows, columns = (np.arange(length) // cell for length in labels.shape)
     by_pixel = pieces[np.ix_(rows, columns)]
@@ -188,8 +188,8 @@ def _with_outlines(pieces: Labels, cell: int, labels: Labels, whole_share: float
     owned = np.bincount(owner[is_whole], sizes[is_whole], minlength=count)
     boxes = ndimage.find_objects(labels)
     for region in np.flatnonzero(~is_whole):
-        at_home, as_guest = shares[region] >= np.maximum(owned, 1), (shares[region] > 0) & (shares[region] < owned)
-        if at_home.any() and as_guest.any():
+        at_home = shares[region] >= np.maximum(owned, cell * cell)
+        if at_home.any() and (shares[region][~at_home] > 0).any():
             nearest = ndimage.distance_transform_edt(~at_home[pieces], return_distances=False, return_indices=True)
             box = boxes[region - 1]
             homes = pieces[tuple(nearest)][np.ix_(rows[box[0]], columns[box[1]])]

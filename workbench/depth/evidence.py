@@ -29,13 +29,11 @@ from calibration.pupil import psf_model
 from workbench.depth.estimate import DepthEstimate
 from workbench.depth.evidence_findings import Findings, candidates_of, conclude, look_at
 from workbench.depth.evidence_model import DepthModel, EvidenceOptions, Learned, learned_of, prepare
-from workbench.depth.occlusion import order_by_outlines
-from workbench.depth.outline_blur import BlurredSteps
+from workbench.depth.occlusion import Place, outline_messages
+from workbench.depth.outline_blur import EdgeSpreads
 from workbench.processors import each
 
 __all__ = ["EvidenceOptions", "estimate_evidence", "prepare"]
-
-Place = tuple[float, float]
 
 
 def estimate_evidence(
@@ -70,7 +68,7 @@ def estimate_evidence(
         :class:`DepthEstimate` by label; its ``score`` is the posterior's probability per grid depth.
     """
     options = options or EvidenceOptions()
-    model_at, steps_at = _by_place(bank, options)
+    model_at, spreads_at = _by_place(bank, options)
     numbers = [int(label) for label in np.unique(labels[labels > 0])]
 
     def look(label: int) -> Findings | DepthEstimate:
@@ -82,7 +80,9 @@ def estimate_evidence(
         label: candidates_of(seen, options) if isinstance(seen, Findings) else None for label, seen in looks.items()
     }
     nearest_mm, farthest_mm = float(bank.depths_mm[0]), float(bank.depths_mm[-1])
-    told = order_by_outlines(image, labels, candidates, steps_at, (nearest_mm, farthest_mm), workers)
+    told = outline_messages(
+        image, labels, candidates, spreads_at, (nearest_mm, farthest_mm), options.prior_power, workers
+    )
     return {
         label: conclude(seen, options, told.get(label), outlines_found=outlines_found)
         if isinstance(seen, Findings)
@@ -95,15 +95,15 @@ def _by_place(
     bank: Bank, options: EvidenceOptions
 ) -> tuple[
     Callable[[NDArray[np.bool_]], tuple[DepthModel, Learned]],
-    Callable[[Place], BlurredSteps],
+    Callable[[Place], EdgeSpreads],
 ]:
-    """The bank made ready for a region, and blurred steps for a place; everywhere the same for a central bank."""
+    """The bank made ready for a region, and edge spreads for a place; everywhere the same for a central bank."""
     learned = learned_of(bank)
     if len(bank.field_yx) == 1:
         model = prepare(bank, options)
-        steps = BlurredSteps(model.psfs)
-        return lambda _: (model, learned), lambda _: steps
+        spreads = EdgeSpreads(model.psfs)
+        return lambda _: (model, learned), lambda _: spreads
     return (
         lambda mask: (prepare(bank_at(bank, region_place(mask)), options), learned),
-        lambda place: BlurredSteps(psf_model(bank_at(bank, place))),
+        lambda place: EdgeSpreads(psf_model(bank_at(bank, place))),
     )

@@ -49,10 +49,10 @@ Mask = NDArray[np.bool_]
 _REFINED_WITHIN, _NARROW = 30.0, 5.0
 """Modes within so much log-likelihood of the best, unweighted as in all that comes before the posterior, are looked at
 more finely where it falls by so much to the next rows."""
-_SAME_PX, _OPEN = 2.0, 1e-3
-"""A region is sure of itself where all blurs that differ by more than so much are less likely than this together."""
-_READ_FROM = 0.5
-"""Parts are read where they lose this part of what makes a region uneven, for any of the blurs that it may have."""
+_TRIED_PX = 0.3
+"""How far from a mode its blur is tried on outlines, too: a region's radius and its outline's differ by some tenths."""
+_ABOUT_MODE_PX = 1.0
+"""An answer lies within so much of its mode."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,7 +130,7 @@ def look_at(
         return _refused(
             model, "no-texture", pixels, f"too small or too thin for a window of {options.smallest_window_px} px"
         )
-    if float(seen.likelihood.max()) - seen.view.fit.null < options.least_evidence:
+    if float(seen.view.fit.log_likelihood.max()) - seen.view.fit.null < options.least_evidence:
         return _refused(model, "no-texture", pixels, "no texture above the noise")
     if is_strict_pattern(seen):
         reason = "only isolated spatial frequencies stand above the noise (a strict pattern): any blur explains them"
@@ -144,16 +144,13 @@ def candidates_of(findings: Findings, options: EvidenceOptions) -> Candidates:
     In the order of the modes, the far sides first and then the near ones.
     """
     model, sides = findings.model, _in_reach(findings)
-    sigma = np.abs(findings.mode_radius_px) * np.array([[1.0], [-1.0]])
-    weighed = findings.weight * findings.likelihood[findings.modes]
-    log = weighed + np.stack([findings.far, findings.near]) + log_prior(model, sigma, options.prior_power)
-    own_px = float(np.abs(sigma).ravel()[np.where(sides, log, -np.inf).argmax()])
-    is_one = not findings.is_mixed and parts_loss(findings.parts, model, own_px) <= options.parts_log_likelihood
-    depths = np.array([model.depth_mm(min(float(value), model.farthest_px)) for value in sigma[sides]])
-    log_probability = log[sides] - logsumexp(log[sides])
-    others = np.abs(sigma[sides] - sigma[sides][log_probability.argmax()]) > _SAME_PX
-    is_open = bool(np.exp(log_probability[others]).sum() > _OPEN)
-    return Candidates(depths, log_probability, is_one=is_one, is_open=is_open)
+    sigma = (np.abs(findings.mode_radius_px) * np.array([[1.0], [-1.0]]))[sides]
+    weighed = np.tile(findings.weight * findings.likelihood[findings.modes], (2, 1))
+    log = (weighed + np.stack([findings.far, findings.near]))[sides] + log_prior(model, sigma, options.prior_power)
+    tried = np.minimum(np.add.outer(sigma, (0.0, -_TRIED_PX, _TRIED_PX)), model.farthest_px)
+    depths = np.array([[model.depth_mm(float(value)) for value in row] for row in tried])
+    is_one = _has_one_blur(findings, abs(float(sigma[log.argmax()])), options)
+    return Candidates(depths[:, 0], sigma, log - logsumexp(log), depths, is_one=is_one)
 
 
 def conclude(
@@ -172,20 +169,24 @@ def conclude(
     outlines_found
         Whether the region's outline was found in the photograph.
     """
-    model = findings.model
-    told = np.zeros((2, len(findings.modes)))
+    sides, told = _in_reach(findings), np.zeros((2, len(findings.modes)))
     if outlines is not None:
-        told[_in_reach(findings)] = outlines
+        told[sides] = outlines
+        told = np.where(sides, told, told[::-1])  # what is out of reach gains nothing by that
     far, near = findings.far + told[0], findings.near + told[1]
     estimate = _single_depth(findings, far, near, options, outlines_found=outlines_found)
-    own_px = abs(model.psfs.radius_px(estimate.depth_mm))
-    if np.isfinite(estimate.mirror_mm):
-        mode = int(np.abs(np.abs(findings.mode_radius_px) - own_px).argmin())
-        side = float(np.sign(model.psfs.radius_px(estimate.depth_mm)))
-        estimate = replace(estimate, outline_odds=side * float(told[0, mode] - told[1, mode]))
-    if not findings.is_mixed and parts_loss(findings.parts, model, own_px) <= options.parts_log_likelihood:
-        return estimate
-    return uneven(estimate, findings.readings)
+    sigma = findings.model.psfs.radius_px(estimate.depth_mm)
+    if outlines is not None:
+        estimate = replace(estimate, outline_odds=_against_mirror(candidates_of(findings, options), outlines, sigma))
+    return estimate if _has_one_blur(findings, abs(sigma), options) else uneven(estimate, findings.readings)
+
+
+def _against_mirror(candidates: Candidates, outlines: FloatArray, sigma_px: float) -> float:
+    """What outlines say for a signed radius against its mirror image, nats; 0 where that is no candidate."""
+    own, mirror = (int(np.abs(candidates.radius_px - value).argmin()) for value in (sigma_px, -sigma_px))
+    if abs(candidates.radius_px[mirror] + candidates.radius_px[own]) > _ABOUT_MODE_PX:
+        return 0.0
+    return float(outlines[own] - outlines[mirror])
 
 
 def _findings(seen: Observation, model: DepthModel, learned: Learned, options: EvidenceOptions) -> Findings:
@@ -202,8 +203,9 @@ def _findings(seen: Observation, model: DepthModel, learned: Learned, options: E
     ]
     is_mixed = seen.varied > options.varied_log_likelihood
     is_mixed = is_mixed or parts_loss(seen.parts, model) > options.parts_log_likelihood
-    lost = max(parts_loss(seen.parts, model, abs(float(model.row_radius_px[row]))) for row in modes)
-    asked = is_mixed or lost > _READ_FROM * options.parts_log_likelihood
+    near_modes = np.abs(np.add.outer(model.row_radius_px[modes], (-_ABOUT_MODE_PX, 0.0, _ABOUT_MODE_PX))).ravel()
+    lost = max(parts_loss(seen.parts, model, float(radius)) for radius in near_modes)
+    asked = is_mixed or lost > options.parts_log_likelihood
     return Findings(
         model=model,
         learned=learned,
@@ -223,6 +225,13 @@ def _findings(seen: Observation, model: DepthModel, learned: Learned, options: E
         is_mixed=is_mixed,
         parts=seen.parts,
         readings=read_parts(seen.parts, seen.view, model, learned, options) if asked else [],
+    )
+
+
+def _has_one_blur(findings: Findings, radius_px: float, options: EvidenceOptions) -> bool:
+    """Whether neither a mixture of blurs nor its parts deny that all of a region has one blur, this one."""
+    return (
+        not findings.is_mixed and parts_loss(findings.parts, findings.model, radius_px) <= options.parts_log_likelihood
     )
 
 

@@ -190,7 +190,7 @@ def estimate_depths(
     def in_place(label: int) -> dict[int, DepthEstimate]:
         mask = labels == label
         here = bank_at(bank, region_place(mask))
-        return chosen.estimate(image, here, np.where(mask, labels, 0).astype(np.int32), options)
+        return chosen.estimate(image, here, np.where(mask, labels, 0).astype(np.int32), options, **told)
 
     parts = each(in_place, np.unique(labels[labels > 0]).tolist(), threads.get("workers", 1))
     return {label: estimate for part in parts for label, estimate in part.items()}

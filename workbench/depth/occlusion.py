@@ -8,7 +8,7 @@ aperture the right way up or upside down.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from calibration.image import LinearImage
-from calibration.pupil import PsfModel
-from workbench.depth.outline_blur import BlurredSteps, blur_log_likelihood
+from workbench.depth.outline_blur import EdgeSpreads, blur_log_likelihood
 from workbench.depth.outlines import Outline, find_outlines, read_profiles
 from workbench.processors import each
 
@@ -29,7 +28,9 @@ _CHANCE = 0.03
 _ANY_DEPTH_STEPS = 20
 """Depths, evenly spread in 1/z, that stand for a region whose depth nobody knows."""
 _LEAST_LIKELY = 1e-3
-"""Candidates that are less likely don't set how far across an outline one has to look."""
+"""What is less likely is not asked for, nor looked for."""
+_SAME_PX = 2.0
+"""Blurs that differ by less are one to a region that is sure of itself."""
 _REACH, _REACH_PX = 1.2, 7
 """Profiles reach so many radii of the largest likely blur, and so many pixels more."""
 
@@ -40,26 +41,39 @@ class Candidates:
 
     Attributes
     ----------
-    depth_mm, log_probability
-        float64 (n,) each; probabilities sum to 1.
+    depth_mm, radius_px, log_probability
+        float64 (n,) each: the depths, their signed blur radii, and probabilities that sum to 1.
+    tried_mm
+        float64 (n, k): depths at which the blur of each is tried on an outline, since its radius is not quite known.
     is_one
         Whether the region has one depth. What its neighbours hear of one that hasn't is that it may be anywhere.
-    is_open
-        Whether anything is left to ask outlines for. Those between two regions that are sure are not looked at.
     """
 
     depth_mm: FloatArray
+    radius_px: FloatArray
     log_probability: FloatArray
+    tried_mm: FloatArray
     is_one: bool = True
-    is_open: bool = True
+
+    @property
+    def is_open(self) -> bool:
+        """Whether another blur than the likeliest is possible."""
+        others = np.abs(self.radius_px - self.radius_px[self.log_probability.argmax()]) > _SAME_PX
+        return bool(np.exp(self.log_probability[others]).sum() > _LEAST_LIKELY)
+
+    @property
+    def largest_blur_px(self) -> float:
+        """|radius| of the largest blur that is likely."""
+        return float(np.abs(self.radius_px[self.log_probability > np.log(_LEAST_LIKELY)]).max())
 
 
-def order_by_outlines(
+def outline_messages(
     image: LinearImage,
     labels: NDArray[np.int32],
     regions: Mapping[int, Candidates | None],
-    steps_at: Callable[[Place], BlurredSteps],
+    spreads_at: Callable[[Place], EdgeSpreads],
     planes_mm: tuple[float, float],
+    prior_power: float,
     workers: int = 1,
 ) -> dict[int, FloatArray]:
     """What the outlines of each region say of its candidates.
@@ -79,10 +93,12 @@ def order_by_outlines(
         int32 (H, W): region of each pixel, 0 = none.
     regions
         Candidates by label; None for regions of unknown depth, whose outlines say what they can all the same.
-    steps_at
-        Blurred steps for a place in the frame, (y, x) as fractions of the half frame.
+    spreads_at
+        Edge spreads for a place in the frame, (y, x) as fractions of the half frame.
     planes_mm
         The bank's nearest and farthest depth.
+    prior_power
+        What depths a region may have of which nothing is known: as this power of z per step of 1/z.
     workers
         Threads.
 
@@ -92,21 +108,26 @@ def order_by_outlines(
         Float64 (n,) by label, the best candidate's 0, for regions with candidates that meet others.
     """
     anywhere = 1.0 / np.linspace(1.0 / planes_mm[0], 1.0 / planes_mm[1], _ANY_DEPTH_STEPS)
-    unknown = Candidates(anywhere, np.full(_ANY_DEPTH_STEPS, -np.log(_ANY_DEPTH_STEPS)), is_one=False)
+    log_prior = prior_power * np.log(anywhere)
+    log_probability = log_prior - logsumexp(log_prior)
+    unknown = Candidates(anywhere, np.zeros(anywhere.size), log_probability, anywhere[:, np.newaxis], is_one=False)
 
     def of_outline(outline: Outline) -> list[tuple[int, FloatArray]]:
         meeting = [regions[outline.first] or unknown, regions[outline.second] or unknown]
         known = [region for region in meeting if region is not unknown]
         if not any(region.is_open for region in known):
             return []
-        steps = steps_at(_place(outline, labels.shape))
-        profiles = read_profiles(image.planes, labels, outline, _reach(known, steps.psfs))
+        reach = int(np.ceil(_REACH * max(region.largest_blur_px for region in known))) + _REACH_PX
+        profiles = read_profiles(image, labels, outline, reach)
         if profiles is None:
             return []
-        depths = [*(region.depth_mm for region in meeting), anywhere]
-        fits = blur_log_likelihood(profiles, [steps.at(float(z)) for z in np.concatenate(depths)])
+        spreads = spreads_at(_place(outline, labels.shape))
+        tried = [*(region.tried_mm for region in meeting), unknown.tried_mm]
+        depths = np.concatenate([depths.ravel() for depths in tried])
+        fits = blur_log_likelihood(profiles, [spreads.at(float(z)) for z in depths])
         fits = np.logaddexp(fits + np.log1p(-_CHANCE), np.log(_CHANCE))
-        *own, anyhow = np.split(fits, np.cumsum([z.size for z in depths])[:-1])
+        parts = np.split(fits, np.cumsum([depths.size for depths in tried])[:-1])
+        *own, anyhow = (part.reshape(depths.shape).max(axis=1) for part, depths in zip(parts, tried, strict=True))
         told = zip(meeting, own, strict=True)
         heard = [(region, fit) if region.is_one else (unknown, anyhow) for region, fit in told]
         return [
@@ -127,13 +148,6 @@ def _message(to: Candidates, fit: FloatArray, by: Candidates, fit_by: FloatArray
     in_front = to.depth_mm[:, np.newaxis] <= by.depth_mm
     joint = np.where(in_front, fit[:, np.newaxis], fit_by) + by.log_probability
     return np.asarray(logsumexp(joint, axis=1))
-
-
-def _reach(regions: Sequence[Candidates], psfs: PsfModel) -> int:
-    """How far across an outline the largest blur that is likely in its regions can be seen, pixels."""
-    likely = [region.depth_mm[region.log_probability > np.log(_LEAST_LIKELY)] for region in regions]
-    largest = max(abs(psfs.radius_px(float(z))) for z in np.concatenate(likely))
-    return int(np.ceil(_REACH * largest)) + _REACH_PX
 
 
 def _place(outline: Outline, shape: tuple[int, ...]) -> Place:

@@ -8,14 +8,18 @@ the step in brightness is left open.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TypeVar
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from calibration.image import LinearImage
+
 FloatArray = NDArray[np.float64]
 Labels = NDArray[np.int32]
 Mask = NDArray[np.bool_]
+Value = TypeVar("Value", bound=np.generic)
 
 _SPACING_PX = 3
 """Between points along an outline."""
@@ -25,12 +29,18 @@ _SMOOTHED_PX, _PATCH_PX = 2.0, 6
 """An outline's direction is that of the regions smoothed so much; the patch that it is read from."""
 _BEYOND_PX = 10, 20
 """Distances from a point between which a region has to lie alone."""
+_AT_ONCE = 20000
+"""Points whose directions are read at once: each takes a kilobyte or two."""
 _PURE = 0.9
 """Share of what is looked at that belongs to the region."""
 _STRIP_PX, _STRIP_SHARE = 6.0, 0.35
 """About an outline what belongs to neither doesn't matter, up to so many pixels or such a part of the profile."""
-_MOST_POINTS = 400
-_LEAST_POINTS = 8
+_CELL_PX, _PER_CELL = 12, 5
+"""A strip between two regions has two borders: of so large a square no more points are kept than one outline has."""
+_MOST_POINTS, _LEAST_POINTS = 400, 8
+"""Of an outline: more are thinned, fewer say nothing."""
+_CLIPPED = 0.01
+"""Share of saturated pixels that spoils a profile: a clipped edge is a skewed one."""
 _FAR_OUT, _STIFFNESS = 0.6, 1e-3
 """Of a profile: from which part of its length on a colour is that of the region. And a share of the colours' variance
 that is there in every direction, so that none counts without end."""
@@ -98,19 +108,19 @@ def find_outlines(labels: Labels) -> list[Outline]:
     found = []
     for first, second in np.unique(pairs[good], axis=0):
         of_pair = np.flatnonzero(good & (pairs == (first, second)).all(axis=1))
-        apart = np.unique((yx[of_pair] // _SPACING_PX).astype(int), axis=0, return_index=True)[1]
-        chosen = of_pair[np.sort(apart)]
+        apart = np.sort(np.unique((yx[of_pair] // _SPACING_PX).astype(int), axis=0, return_index=True)[1])
+        chosen = of_pair[apart[_thinned(yx[of_pair[apart]])]]
         found.append(Outline(int(first), int(second), yx[chosen], (turned * normal)[chosen]))
     return found
 
 
-def read_profiles(planes: NDArray[np.float32], labels: Labels, outline: Outline, reach_px: int) -> Profiles | None:
+def read_profiles(image: LinearImage, labels: Labels, outline: Outline, reach_px: int) -> Profiles | None:
     """Brightness across an outline.
 
     Parameters
     ----------
-    planes
-        float32 (H, W, C): linear light.
+    image
+        Linear light; points with saturated pixels so near are left out.
     labels
         int32 (H, W), as the outline was found in.
     outline
@@ -139,11 +149,12 @@ def read_profiles(planes: NDArray[np.float32], labels: Labels, outline: Outline,
     seen, beyond = _looked_up(labels, samples), max(_STRIP_PX, _STRIP_SHARE * reach_px)
     pure = (seen[:, across > beyond] == outline.first).mean(axis=(1, 2)) > _PURE
     pure &= (seen[:, across < -beyond] == outline.second).mean(axis=(1, 2)) > _PURE
+    pure &= _looked_up(image.saturated, samples).mean(axis=(1, 2)) <= _CLIPPED
     if pure.sum() < _LEAST_POINTS:
         return None
-    colours = _interpolated(planes, samples[pure]).mean(axis=2)
+    colours = _interpolated(image.planes, samples[pure]).mean(axis=2)
     far = np.abs(across) > _FAR_OUT * reach_px
-    mixture = _telling_mixture(colours[:, far & (across > 0)], colours[:, far & (across < 0)])
+    mixture = _discriminant(colours[:, far & (across > 0)], colours[:, far & (across < 0)])
     return Profiles(colours @ mixture, np.arctan2(normal[pure, 0], normal[pure, 1]))
 
 
@@ -167,18 +178,28 @@ def _directed(labels: Labels, yx: FloatArray, sides: Labels) -> tuple[FloatArray
     span = np.arange(-_PATCH_PX, _PATCH_PX + 1)
     offsets = np.stack(np.meshgrid(span, span, indexing="ij"), axis=-1).reshape(-1, 2)
     weights = offsets * np.exp(-0.5 * (offsets**2).sum(axis=1, keepdims=True) / _SMOOTHED_PX**2)
-    patch = _looked_up(labels, yx[:, np.newaxis] + offsets)
-    sign = (patch == sides[:, :1]).astype(np.float64) - (patch == sides[:, 1:])
-    normal = sign @ weights
+    normal = np.empty(yx.shape)
+    for start in range(0, len(yx), _AT_ONCE):
+        some = slice(start, start + _AT_ONCE)
+        patch = _looked_up(labels, yx[some, np.newaxis] + offsets)
+        normal[some] = ((patch == sides[some, :1]).astype(np.float64) - (patch == sides[some, 1:])) @ weights
     length = np.linalg.norm(normal, axis=1)
     directed = length > 1e-6 * np.abs(weights).sum()
     return yx[directed], normal[directed] / length[directed, np.newaxis]
 
 
-def _looked_up(labels: Labels, yx: FloatArray) -> Labels:
-    """Label of the pixel about each point (..., 2); the frame's border goes on beyond it."""
-    y, x = (np.clip(np.rint(yx[..., k]).astype(np.intp), 0, labels.shape[k] - 1) for k in (0, 1))
-    return labels[y, x]
+def _thinned(yx: FloatArray) -> NDArray[np.intp]:
+    """Indices of the first few points of each square cell, points (n, 2)."""
+    cell = np.unique((yx // _CELL_PX).astype(int), axis=0, return_inverse=True)[1].ravel()
+    order = np.argsort(cell, kind="stable")
+    first = np.searchsorted(cell[order], cell[order])
+    return np.sort(order[np.arange(cell.size) - first < _PER_CELL])
+
+
+def _looked_up(picture: NDArray[Value], yx: FloatArray) -> NDArray[Value]:
+    """Value of the pixel about each point (..., 2) of a picture (H, W); its border goes on beyond it."""
+    y, x = (np.clip(np.rint(yx[..., k]).astype(np.intp), 0, picture.shape[k] - 1) for k in (0, 1))
+    return picture[y, x]
 
 
 def _majority(labels: Labels) -> tuple[Labels, Mask]:
@@ -197,8 +218,8 @@ def _interpolated(planes: NDArray[np.float32], yx: FloatArray) -> FloatArray:
     return np.stack(channels, axis=-1).astype(np.float64)
 
 
-def _telling_mixture(first: FloatArray, second: FloatArray) -> FloatArray:
-    """Mixture of colours whose mean differs most between two sets (n, k, C), for its scatter (Fisher 1936)."""
+def _discriminant(first: FloatArray, second: FloatArray) -> FloatArray:
+    """Fisher's linear discriminant (1936) of two sets of colours (n, k, C): the mixture that tells them best apart."""
     a, b = (colours.reshape(-1, colours.shape[-1]) for colours in (first, second))
     scatter = np.atleast_2d(np.cov(a.T) + np.cov(b.T))
     channels = scatter.shape[0]
