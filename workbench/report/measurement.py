@@ -93,6 +93,10 @@ def write_measurement_report(
     )
 
 
+_TELLING_NATS = 1.0
+"""Outlines that speak for a side by less are not worth a note."""
+
+
 def _region_row(number: int, e: DepthEstimate, true_mm: float | None, name: str) -> dict[str, Any]:
     low, high = e.interval_mm
     bounded = math.isfinite(low) and math.isfinite(high)
@@ -110,7 +114,7 @@ def _region_row(number: int, e: DepthEstimate, true_mm: float | None, name: str)
 
 def _outline_note(e: DepthEstimate) -> str:
     """What a region's outlines say of its side of focus, where they say something."""
-    if abs(e.outline_odds) < 1.0:
+    if abs(e.outline_odds) < _TELLING_NATS:
         return ""
     speak = "for" if e.outline_odds > 0 else "against"
     return f"its outlines speak {speak} this side of focus ({abs(e.outline_odds):.1f} nats)"

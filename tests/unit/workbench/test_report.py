@@ -124,6 +124,21 @@ def test_a_region_without_texture_shows_its_reason_and_dashes(measured: tuple[st
     assert not re.search(r"\bnan\b", re.sub(r'"data:[^"]*"', "", source), re.IGNORECASE)
 
 
+@pytest.mark.parametrize(
+    ("odds", "note"),
+    [
+        (3.42, "speak for this side of focus (3.4 nats)"),
+        (-1.5, "speak against this side of focus (1.5 nats)"),
+        (0.5, ""),
+    ],
+)
+def test_a_region_says_what_its_outlines_tell(odds: float, note: str, tmp_path: Path) -> None:
+    told = dataclasses.replace(posterior(3212.0, 2e-6, 0.01), outline_odds=odds)
+    write_measurement_report(draw_measurement({1: told}, channels=1), draw_bank(), tmp_path / "r.html")
+    text = Page((tmp_path / "r.html").read_text(encoding="utf-8")).text
+    assert f"Region 1: its outlines {note}" in text if note else "outlines" not in text
+
+
 def test_provenance_names_photograph_bank_method_options_and_software(measured: tuple[str, Page]) -> None:
     _, page = measured
     for word in ("cd" * 32, "0123456789abcdef", "evidence", "srm q", "prior = 1/f", "1/125 s", "Canon EOS 650D",
