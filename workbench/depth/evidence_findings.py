@@ -143,8 +143,7 @@ def candidates_of(findings: Findings, options: EvidenceOptions) -> Candidates:
 
     In the order of the modes, the far sides first and then the near ones.
     """
-    model, sides = findings.model, _in_reach(findings)
-    sigma = (np.abs(findings.mode_radius_px) * np.array([[1.0], [-1.0]]))[sides]
+    model, sides, sigma = findings.model, _in_reach(findings), _candidates_px(findings)
     weighed = np.tile(findings.weight * findings.likelihood[findings.modes], (2, 1))
     log = (weighed + np.stack([findings.far, findings.near]))[sides] + log_prior(model, sigma, options.prior_power)
     tried = np.minimum(np.add.outer(sigma, (0.0, -_TRIED_PX, _TRIED_PX)), model.farthest_px)
@@ -177,14 +176,19 @@ def conclude(
     estimate = _single_depth(findings, far, near, options, outlines_found=outlines_found)
     sigma = findings.model.psfs.radius_px(estimate.depth_mm)
     if outlines is not None:
-        estimate = replace(estimate, outline_odds=_against_mirror(candidates_of(findings, options), outlines, sigma))
+        estimate = replace(estimate, outline_odds=_against_mirror(_candidates_px(findings), outlines, sigma))
     return estimate if _has_one_blur(findings, abs(sigma), options) else uneven(estimate, findings.readings)
 
 
-def _against_mirror(candidates: Candidates, outlines: FloatArray, sigma_px: float) -> float:
+def _candidates_px(findings: Findings) -> FloatArray:
+    """Signed radii of the candidates, float64 (n,)."""
+    return np.asarray((np.abs(findings.mode_radius_px) * np.array([[1.0], [-1.0]]))[_in_reach(findings)], np.float64)
+
+
+def _against_mirror(candidates_px: FloatArray, outlines: FloatArray, sigma_px: float) -> float:
     """What outlines say for a signed radius against its mirror image, nats; 0 where that is no candidate."""
-    own, mirror = (int(np.abs(candidates.radius_px - value).argmin()) for value in (sigma_px, -sigma_px))
-    if abs(candidates.radius_px[mirror] + candidates.radius_px[own]) > _ABOUT_MODE_PX:
+    own, mirror = (int(np.abs(candidates_px - value).argmin()) for value in (sigma_px, -sigma_px))
+    if abs(candidates_px[mirror] + candidates_px[own]) > _ABOUT_MODE_PX:
         return 0.0
     return float(outlines[own] - outlines[mirror])
 
