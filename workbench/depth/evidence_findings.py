@@ -51,6 +51,8 @@ _REFINED_WITHIN, _NARROW = 30.0, 5.0
 more finely where it falls by so much to the next rows."""
 _TRIED_PX = 0.3
 """How far from a mode its blur is tried on outlines, too: a region's radius and its outline's differ by some tenths."""
+_POSSIBLE = 15.0
+"""Nats that a mode may be behind and still become the answer: what four outlines can say, and the prior."""
 _ABOUT_MODE_PX = 1.0
 """An answer lies within so much of its mode."""
 
@@ -207,7 +209,9 @@ def _findings(seen: Observation, model: DepthModel, learned: Learned, options: E
     ]
     is_mixed = seen.varied > options.varied_log_likelihood
     is_mixed = is_mixed or parts_loss(seen.parts, model) > options.parts_log_likelihood
-    near_modes = np.abs(np.add.outer(model.row_radius_px[modes], (-_ABOUT_MODE_PX, 0.0, _ABOUT_MODE_PX))).ravel()
+    score = weight * likelihood[modes] + np.maximum(far, near)
+    possible = model.row_radius_px[modes][score > score.max() - _POSSIBLE]
+    near_modes = np.abs(np.add.outer(possible, (-_ABOUT_MODE_PX, 0.0, _ABOUT_MODE_PX))).ravel()
     lost = max(parts_loss(seen.parts, model, float(radius)) for radius in near_modes)
     asked = is_mixed or lost > options.parts_log_likelihood
     return Findings(

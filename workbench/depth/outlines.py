@@ -98,9 +98,9 @@ def find_outlines(labels: Labels) -> list[Outline]:
     """
     yx, normal = _directed(labels, *_borders(labels))
     steps = np.arange(_BEYOND_PX[0], _BEYOND_PX[1] + 1)
-    ahead, clear_ahead = _majority(_looked_up(labels, yx[:, np.newaxis] + normal[:, np.newaxis] * steps[:, np.newaxis]))
-    behind, clear_behind = _majority(
-        _looked_up(labels, yx[:, np.newaxis] - normal[:, np.newaxis] * steps[:, np.newaxis])
+    (ahead, clear_ahead), (behind, clear_behind) = (
+        _majority(_looked_up(labels, yx[:, np.newaxis] + side * normal[:, np.newaxis] * steps[:, np.newaxis]))
+        for side in (1.0, -1.0)
     )
     good = clear_ahead & clear_behind & (ahead != behind) & (np.minimum(ahead, behind) > 0)
     turned = np.where(ahead > behind, -1.0, 1.0)[:, np.newaxis]
