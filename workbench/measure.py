@@ -178,6 +178,9 @@ def measure(path: Path, bank: Bank, bank_ref: str, options: MeasureOptions) -> M
         workers=workers,
         outlines_found=not options.regions_given,
     )
+    for estimate in estimates.values():
+        if estimate.left_out is not None:
+            labels = np.where(estimate.left_out, np.int32(0), labels)
     return Measurement(
         image=image,
         image_name=str(path),

@@ -121,7 +121,7 @@ def regions_of_one_depth(
     telling, sides = telling_likelihoods(odds), side_likelihoods(odds)
     pieces = merge_cells(telling, colours, shape, pieces, options.telling_tolerance, options.least_cells)
     pieces = merge_cells(sides, colours, shape, pieces, options.side_tolerance, options.least_cells)
-    return _by_size(_with_outlines(pieces.reshape(shape), cell, labels, options.whole_share), options.least_fraction)
+    return _by_size(with_outlines(pieces.reshape(shape), cell, labels, options.whole_share), options.least_fraction)
 
 
 def _cell_windows(
@@ -170,12 +170,28 @@ def _low_half(power: NDArray[np.floating]) -> NDArray[np.floating]:
     return np.ascontiguousarray(power[:, rows, : n // 4 + 1])
 
 
-def _with_outlines(pieces: Labels, cell: int, labels: Labels, whole_share: float) -> Labels:
-    """Pieces (rows, columns of cells) with the outlines of the colour regions, int32 (H, W).
+def with_outlines(pieces: Labels, cell: int, labels: Labels, whole_share: float) -> Labels:
+    """Give pieces the outlines of the colour regions.
 
     A colour region that lies mostly within one piece belongs to it as a whole. One that spans several is cut along the
-    cells; but in a piece of which whole ones are more than it is, or where it doesn't fill a cell, it is a guest: what
-    lies there goes to the nearest piece where it is at home, if there is one.
+    cells; but in a piece of which whole ones are more than it is, or another one that spans several, or where it
+    doesn't fill a cell, it is a guest: what lies there goes to the nearest piece where it is at home, if there is one.
+
+    Parameters
+    ----------
+    pieces
+        int32 (rows, columns) of cells: piece of each, numbered from 1.
+    cell
+        Side of a cell, px.
+    labels
+        int32 (H, W): colour region of each pixel, numbered from 1.
+    whole_share
+        Share of its pixels in one piece with which a colour region belongs to it as a whole.
+
+    Returns
+    -------
+    int32 (H, W)
+        Piece of each pixel.
     """
     rows, columns = (np.arange(length) // cell for length in labels.shape)
     by_pixel = pieces[np.ix_(rows, columns)]
@@ -187,8 +203,10 @@ def _with_outlines(pieces: Labels, cell: int, labels: Labels, whole_share: float
     result = np.where(is_whole[labels], owner[labels], by_pixel).astype(np.int32)
     owned = np.bincount(owner[is_whole], sizes[is_whole], minlength=count)
     boxes = ndimage.find_objects(labels)
-    for region in np.flatnonzero(~is_whole):
-        at_home = shares[region] >= np.maximum(owned, cell * cell)
+    spanning = np.flatnonzero(~is_whole)
+    for region in spanning:
+        rivals = shares[spanning[spanning != region]].max(axis=0, initial=0)
+        at_home = shares[region] >= np.maximum(np.maximum(owned, rivals), cell * cell)
         if at_home.any() and (shares[region][~at_home] > 0).any():
             nearest = ndimage.distance_transform_edt(~at_home[pieces], return_distances=False, return_indices=True)
             box = boxes[region - 1]

@@ -40,6 +40,8 @@ class DepthEstimate:
     outline_odds
         Log-odds (nats) that the region's outlines gave its side of focus, against the mirror depth; 0 where they say
         nothing.
+    left_out
+        bool (H, W): what of the region was found to have another blur and left out; None for nothing.
     diagnostics
         Further arrays for figures, by name.
     """
@@ -56,6 +58,7 @@ class DepthEstimate:
     pixels: int
     reason: str = ""
     outline_odds: float = 0.0
+    left_out: NDArray[np.bool_] | None = None
     diagnostics: Mapping[str, NDArray[np.float64]] = field(default_factory=dict)
 
 

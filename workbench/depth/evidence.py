@@ -73,7 +73,7 @@ def estimate_evidence(
 
     def look(label: int) -> Findings | DepthEstimate:
         mask = labels == label
-        return look_at(image, mask, *model_at(mask), options)
+        return look_at(image, mask, *model_at(mask), options, outlines_found=outlines_found)
 
     looks = dict(zip(numbers, each(look, numbers, workers), strict=True))
     candidates = {

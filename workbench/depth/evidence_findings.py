@@ -14,6 +14,7 @@ from scipy.special import logsumexp
 
 from calibration.image import LinearImage
 from workbench.depth.estimate import DepthEstimate, Status
+from workbench.depth.evidence_agreement import Agreement, agreement
 from workbench.depth.evidence_colour import informative_mixture
 from workbench.depth.evidence_doubt import (
     uneven,
@@ -87,6 +88,8 @@ class Findings:
         Whether that, or its parts, say that no single blur will do.
     parts, readings
         Its quarters by themselves, and their depths, where anybody will ask for them.
+    left_out
+        bool (H, W): what of the region was left out since it has another blur; None for nothing.
     """
 
     model: DepthModel
@@ -107,6 +110,7 @@ class Findings:
     is_mixed: bool
     parts: list[Part]
     readings: list[Reading]
+    left_out: Mask | None = None
 
     @property
     def mode_radius_px(self) -> FloatArray:
@@ -115,9 +119,19 @@ class Findings:
 
 
 def look_at(
-    image: LinearImage, mask: Mask, model: DepthModel, learned: Learned, options: EvidenceOptions
+    image: LinearImage,
+    mask: Mask,
+    model: DepthModel,
+    learned: Learned,
+    options: EvidenceOptions,
+    *,
+    outlines_found: bool = False,
 ) -> Findings | DepthEstimate:
-    """Look at one region, bool (H, W): findings, or at once an estimate without a depth that says why."""
+    """Look at one region, bool (H, W): findings, or at once an estimate without a depth that says why.
+
+    Of a region whose outline was found in the photograph, what its windows disagree on is left out where the rest is
+    surer of its depth without it.
+    """
     pixels = int(mask.sum())
     clipped = float((image.saturated & mask).sum()) / max(pixels, 1)
     if clipped > options.max_saturated:
@@ -137,7 +151,26 @@ def look_at(
     if is_strict_pattern(seen):
         reason = "only isolated spatial frequencies stand above the noise (a strict pattern): any blur explains them"
         return _refused(model, "no-texture", pixels, reason)
-    return _findings(seen, model, learned, options)
+    findings = _findings(seen, model, learned, options)
+    if not outlines_found or conclude(findings, options, outlines_found=True).status == "ok":
+        return findings
+    agreed = agreement(seen.view, usable, model, options)
+    if agreed is None:
+        return findings
+    rest = look_at(image, mask & agreed.part, model, learned, options)
+    if isinstance(rest, Findings) and _is_surer(rest, findings, agreed, options):
+        return replace(rest, left_out=mask & ~agreed.part)
+    return findings
+
+
+def _is_surer(rest: Findings, whole: Findings, agreed: Agreement, options: EvidenceOptions) -> bool:
+    """Whether the rest of a region is sure of its depth, or has the blur that most windows agree on where the whole has
+    another."""
+    new, old = (conclude(findings, options, outlines_found=True) for findings in (rest, whole))
+    if new.status == "ok":
+        return True
+    suited, suits = (agreed.suits(abs(rest.model.psfs.radius_px(estimate.depth_mm))) for estimate in (old, new))
+    return suits and not suited
 
 
 def candidates_of(findings: Findings, options: EvidenceOptions) -> Candidates:
@@ -179,6 +212,7 @@ def conclude(
     sigma = findings.model.psfs.radius_px(estimate.depth_mm)
     if outlines is not None:
         estimate = replace(estimate, outline_odds=_against_mirror(_candidates_px(findings), outlines, sigma))
+    estimate = replace(estimate, left_out=findings.left_out)
     return estimate if _has_one_blur(findings, abs(sigma), options) else uneven(estimate, findings.readings)
 
 

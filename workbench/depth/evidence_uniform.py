@@ -22,6 +22,7 @@ from workbench.depth.evidence_spectrum import SpectralFit, fit_spectra
 from workbench.depth.evidence_view import View, compare_windows
 from workbench.depth.evidence_windows import Window, thinned
 
+FloatArray = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 _MOST_WINDOWS, _SIDE_WINDOWS = 20, 9
@@ -30,10 +31,10 @@ _OWN = 0.8
 """Least share of a window's taper within the part that it counts for; windows across a cut are left out."""
 _CHANCE = 1.0
 """Log-likelihood that a part may lose by chance."""
-_FOCUS_PX, _FOCUS_TRUST = 1.0, 0.1
+_FOCUS_PX, FOCUS_TRUST = 1.0, 0.1
 """A part that holds little but one strong edge near its border is put in focus by what the taper's slope makes of it:
 parts that claim to be in focus count for less."""
-_ROWS = slice(None, None, 3)
+PARTS_ROWS = slice(None, None, 3)
 """Of the model: the blurs that parts are fitted with."""
 _MOST_AVERAGES = 12.0
 """Parts count for no more than this: a tolerance for what differs over the field, not a test of the lens."""
@@ -130,7 +131,7 @@ def fit_parts(
     parts = []
     for own in _by_quarter(windows, mask):
         pooled = pooled_periodogram(plane, own, model.kernel_lags.shape[1] // 2)
-        expected = smeared_power(model.kernel_lags[_ROWS], pooled.taper_lags, pooled.power.shape[0])
+        expected = smeared_power(model.kernel_lags[PARTS_ROWS], pooled.taper_lags, pooled.power.shape[0])
         averages = min(_MOST_AVERAGES, pooled.trusted)
         fit = fit_spectra(
             pooled.power, averages, expected, independent_share=pooled.independent_share, factor=options.factor
@@ -153,12 +154,22 @@ def parts_loss(parts: Sequence[Part], model: DepthModel, radius_px: float | None
     """
     if len(parts) < 2:
         return 0.0
-    radius = np.abs(model.row_radius_px[_ROWS])
+    radius = np.abs(model.row_radius_px[PARTS_ROWS])
     each = np.stack([part.fit.log_likelihood for part in parts])
     shared = float(radius[each.sum(axis=0).argmax()]) if radius_px is None else radius_px
-    alike = np.abs(radius - shared) <= _SAME_PX + _SAME_SHARE * shared
+    alike = same_blur(radius, shared)
     lost = np.maximum(each.max(axis=1) - each[:, alike].max(axis=1) - _CHANCE, 0.0)
-    return float(np.where(radius[each.argmax(axis=1)] < _FOCUS_PX, _FOCUS_TRUST, 1.0) @ lost)
+    return float(np.where(claims_focus(radius[each.argmax(axis=1)]), FOCUS_TRUST, 1.0) @ lost)
+
+
+def same_blur(radius_px: FloatArray, centre_px: float) -> Mask:
+    """Which |radii| differ from one of them by less than parts of one surface may, bool like ``radius_px``."""
+    return np.asarray(np.abs(radius_px - centre_px) <= _SAME_PX + _SAME_SHARE * centre_px)
+
+
+def claims_focus(radius_px: FloatArray) -> Mask:
+    """Which |radii| are those of a part that claims to be in focus, bool like ``radius_px``."""
+    return np.asarray(radius_px < _FOCUS_PX)
 
 
 def read_parts(
@@ -183,7 +194,7 @@ def read_parts(
 
 
 def _read(part: Part, view: View, model: DepthModel, learned: Learned, options: EvidenceOptions) -> Reading:
-    radius = np.abs(model.row_radius_px[_ROWS])
+    radius = np.abs(model.row_radius_px[PARTS_ROWS])
     likelihood = learned.spectral_weight * part.fit.likelihood_weight * part.fit.log_likelihood
     best = int(likelihood.argmax())
     centre = peak_of(likelihood, radius, best)[0]
@@ -194,9 +205,9 @@ def _read(part: Part, view: View, model: DepthModel, learned: Learned, options: 
     patches = cut_patches(seen.plane, seen.soft, windows)
     clue = compare_windows(seen, windows, patches, centre, part.fit.texture(best), model)
     odds = float(side_odds([clue], learned)[0])
-    sides = open_sides(centre, odds, model.sides_in_reach[_ROWS][best], model, options)
+    sides = open_sides(centre, odds, model.sides_in_reach[PARTS_ROWS][best], model, options)
     held = radius[likelihood > likelihood[best] - _HELD]
-    half = 0.5 * _ROWS.step * options.radius_step_px
+    half = 0.5 * PARTS_ROWS.step * options.radius_step_px
     ends = model.depth_within_mm(np.outer(np.sign(sides), (held.min() - half, held.max() + half)))
     return Reading(float(model.depth_within_mm(sides[0])), (float(ends.min()), float(ends.max())))
 

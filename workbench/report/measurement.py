@@ -107,8 +107,8 @@ def _region_row(number: int, e: DepthEstimate, true_mm: float | None, name: str)
         "difference": fixed((e.depth_mm - true_mm) / 10, 1, sign=True) if true_mm is not None else UNKNOWN,
         "confidence": fixed(e.confidence, 2), "mirror": cm(e.mirror_mm, 1),
         "mirror_probability": _mirror_probability(e), "second": cm(e.second_mm, 1),
-        "pixels": f"{e.pixels:,}".replace(",", "\N{NARROW NO-BREAK SPACE}"), "status": e.status,
-        "glyph": GLYPHS[e.status], "notes": [note for note in (e.reason, _outline_note(e)) if note],
+        "pixels": _count(e.pixels), "status": e.status,
+        "glyph": GLYPHS[e.status], "notes": [note for note in (e.reason, _outline_note(e), _left_out_note(e)) if note],
     }  # fmt: skip
 
 
@@ -118,6 +118,15 @@ def _outline_note(e: DepthEstimate) -> str:
         return ""
     speak = "for" if e.outline_odds > 0 else "against"
     return f"its outlines speak {speak} this side of focus ({abs(e.outline_odds):.1f} nats)"
+
+
+def _left_out_note(e: DepthEstimate) -> str:
+    """How much of a found region has another blur, if any."""
+    return "" if e.left_out is None else f"{_count(int(e.left_out.sum()))} pixels of it have another blur: left out"
+
+
+def _count(number: int) -> str:
+    return f"{number:,}".replace(",", "\N{NARROW NO-BREAK SPACE}")
 
 
 def _mirror_probability(e: DepthEstimate) -> str:

@@ -14,7 +14,7 @@ from calibration.image import LinearImage
 from tests.unit.depth_evidence.synthetic import FOCUS_MM, as_image, leaves, photograph
 from workbench.depth.depth_region_merging import merge_cells
 from workbench.depth.depth_region_sides import telling_likelihoods
-from workbench.depth.depth_regions import DepthRegionOptions, regions_of_one_depth
+from workbench.depth.depth_regions import DepthRegionOptions, regions_of_one_depth, with_outlines
 
 FloatArray = NDArray[np.float64]
 
@@ -172,3 +172,16 @@ def test_what_of_a_colour_lies_in_cells_of_another_surface_goes_home(bank: Bank)
     inside[:, ends[0] : ends[1]] = True
     assert (labels[~inside] == thing).mean() < 0.005
     assert (labels[inside] == thing).mean() > 0.97
+
+
+def test_of_two_colours_that_span_pieces_the_smaller_one_is_the_guest() -> None:
+    """A card's blank half lies in the wall's cells: it goes to the piece where the card shows its letters."""
+    wall, letters, cell = 1, 2, 50
+    pieces = np.full((4, 8), wall, np.int32)
+    pieces[1:3, 4:6] = letters
+    pieces[:, :2] = 3  # the wall is in two pieces, so that no colour lies within one
+    colours = np.ones((200, 400), np.int32)
+    colours[50:150, 120:300] = 2  # the card, 80 pixels of it in the wall's cells
+    result = with_outlines(pieces, cell, colours, 0.7)
+    assert (result[colours == 2] == letters).all()
+    assert set(np.unique(result[colours == 1])) == {wall, 3}
