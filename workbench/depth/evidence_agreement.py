@@ -13,11 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from workbench.depth.evidence_expected import smeared_power
 from workbench.depth.evidence_model import DepthModel, EvidenceOptions
-from workbench.depth.evidence_periodogram import pooled_periodogram
-from workbench.depth.evidence_spectrum import fit_spectra
-from workbench.depth.evidence_uniform import FOCUS_TRUST, PARTS_ROWS, claims_focus, same_blur
+from workbench.depth.evidence_uniform import FOCUS_TRUST, PARTS_ROWS, claims_focus, fit_part, same_blur
 from workbench.depth.evidence_view import View
 from workbench.depth.evidence_windows import Window, place_windows, thinned
 from workbench.depth.regions import bounding_box
@@ -91,10 +88,7 @@ def agreement(view: View, mask: Mask, model: DepthModel, options: EvidenceOption
 
 def _lost(plane: NDArray[np.float32], window: Window, model: DepthModel, options: EvidenceOptions) -> FloatArray:
     """Nats that each of some blurs loses to a window's best one, float64 (R,); none of them where it shows nothing."""
-    pooled = pooled_periodogram(plane, [window], model.kernel_lags.shape[1] // 2)
-    expected = smeared_power(model.kernel_lags[PARTS_ROWS], pooled.taper_lags, pooled.power.shape[0])
-    fit = fit_spectra(pooled.power, pooled.trusted, expected, independent_share=pooled.independent_share,
-                      factor=options.factor)  # fmt: skip
+    fit = fit_part(plane, [window], model, options).fit
     best = float(fit.log_likelihood.max())
     if best - fit.null < options.least_evidence:
         return np.zeros(fit.log_likelihood.size)

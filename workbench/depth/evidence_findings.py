@@ -14,7 +14,7 @@ from scipy.special import logsumexp
 
 from calibration.image import LinearImage
 from workbench.depth.estimate import DepthEstimate, Status
-from workbench.depth.evidence_agreement import Agreement, agreement
+from workbench.depth.evidence_agreement import agreement
 from workbench.depth.evidence_colour import informative_mixture
 from workbench.depth.evidence_doubt import (
     uneven,
@@ -152,25 +152,24 @@ def look_at(
         reason = "only isolated spatial frequencies stand above the noise (a strict pattern): any blur explains them"
         return _refused(model, "no-texture", pixels, reason)
     findings = _findings(seen, model, learned, options)
-    if not outlines_found or conclude(findings, options, outlines_found=True).status == "ok":
-        return findings
-    agreed = agreement(seen.view, usable, model, options)
+    return _without_strangers(findings, seen, image, usable, options) if outlines_found else findings
+
+
+def _without_strangers(
+    whole: Findings, seen: Observation, image: LinearImage, mask: Mask, options: EvidenceOptions
+) -> Findings:
+    """Findings of what most windows of a found region agree on, where they are surer than those of the whole."""
+    old = conclude(whole, options, outlines_found=True)
+    agreed = None if old.status == "ok" else agreement(seen.view, mask, whole.model, options)
     if agreed is None:
-        return findings
-    rest = look_at(image, mask & agreed.part, model, learned, options)
-    if isinstance(rest, Findings) and _is_surer(rest, findings, agreed, options):
-        return replace(rest, left_out=mask & ~agreed.part)
-    return findings
-
-
-def _is_surer(rest: Findings, whole: Findings, agreed: Agreement, options: EvidenceOptions) -> bool:
-    """Whether the rest of a region is sure of its depth, or has the blur that most windows agree on where the whole has
-    another."""
-    new, old = (conclude(findings, options, outlines_found=True) for findings in (rest, whole))
-    if new.status == "ok":
-        return True
-    suited, suits = (agreed.suits(abs(rest.model.psfs.radius_px(estimate.depth_mm))) for estimate in (old, new))
-    return suits and not suited
+        return whole
+    rest = look_at(image, agreed.part, whole.model, whole.learned, options)
+    if not isinstance(rest, Findings):
+        return whole
+    new = conclude(rest, options, outlines_found=True)
+    has_their_blur = [agreed.suits(abs(whole.model.psfs.radius_px(found.depth_mm))) for found in (old, new)]
+    is_surer = new.status == "ok" or has_their_blur == [False, True]
+    return replace(rest, left_out=mask & ~agreed.part) if is_surer else whole
 
 
 def candidates_of(findings: Findings, options: EvidenceOptions) -> Candidates:

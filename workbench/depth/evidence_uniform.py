@@ -128,16 +128,18 @@ def fit_parts(
     list of Part
         Of the quarters that have windows of their own.
     """
-    parts = []
-    for own in _by_quarter(windows, mask):
-        pooled = pooled_periodogram(plane, own, model.kernel_lags.shape[1] // 2)
-        expected = smeared_power(model.kernel_lags[PARTS_ROWS], pooled.taper_lags, pooled.power.shape[0])
-        averages = min(_MOST_AVERAGES, pooled.trusted)
-        fit = fit_spectra(
-            pooled.power, averages, expected, independent_share=pooled.independent_share, factor=options.factor
-        )
-        parts.append(Part(own, fit))
-    return parts
+    return [fit_part(plane, own, model, options) for own in _by_quarter(windows, mask)]
+
+
+def fit_part(plane: NDArray[np.float32], windows: list[Window], model: DepthModel, options: EvidenceOptions) -> Part:
+    """Fit every third blur of the model to some windows, at least one, with a texture of their own."""
+    pooled = pooled_periodogram(plane, windows, model.kernel_lags.shape[1] // 2)
+    expected = smeared_power(model.kernel_lags[PARTS_ROWS], pooled.taper_lags, pooled.power.shape[0])
+    averages = min(_MOST_AVERAGES, pooled.trusted)
+    fit = fit_spectra(
+        pooled.power, averages, expected, independent_share=pooled.independent_share, factor=options.factor
+    )
+    return Part(windows, fit)
 
 
 def parts_loss(parts: Sequence[Part], model: DepthModel, radius_px: float | None = None) -> float:
