@@ -26,6 +26,9 @@ _NATIVE_WITHIN = 70.0
 """Photosites are looked at where superpixels leave a blur next to focus within so much log-likelihood of the best."""
 _ENOUGH = 0.7
 """Full windows' worth of region below which smaller windows are tried."""
+_RESOLVED = 0.25
+"""Of a window's side: a blur of a larger radius spans more than half of the window, its zeros lie less than two
+frequencies apart."""
 _LOW_CYCLES = 6.0
 _LEAST_LOW_SHARE, _MOST_LINE_SHARE = 0.25, 0.9
 _LOW_SHARE_WITH_LINES, _LINES = 0.85, 0.48
@@ -84,8 +87,9 @@ def observe(
     pooled = pooled_periodogram(plane, chosen, model.kernel_lags.shape[1] // 2)
     expected = smeared_power(model.kernel_lags, pooled.taper_lags, size)
     fit = fit_spectra(
-        pooled.power, pooled.trusted, expected, independent_share=pooled.independent_share, factor=options.factor
-    )
+        pooled.power, pooled.trusted, expected, independent_share=pooled.independent_share, factor=options.factor,
+        unresolved=np.abs(model.row_radius_px) > _RESOLVED * size,
+    )  # fmt: skip
     view, photosites = View(plane, soft, clear, chosen, pooled, fit, is_light=is_light), None
     if with_photosites is not None and with_photosites.mosaic is not None and _next_to_focus(fit.log_likelihood, model):
         photosites = view_photosites(with_photosites, mask, view, model, options)

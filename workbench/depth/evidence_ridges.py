@@ -68,9 +68,23 @@ def ridge_directions(log_power: FloatArray, known: Sequence[float], threshold: T
         taken = [*known, *found]
         if not high[k] or len(taken) >= MOST_RIDGES:
             break
-        if all(abs(np.sin(fan.direction[k] - other)) > np.sin(np.radians(_APART)) for other in taken):
+        if _is_apart(fan.direction[k], taken):
             found.append(float(fan.direction[k]))
     return tuple(found)
+
+
+def with_perpendiculars(directions: Sequence[float]) -> tuple[float, ...]:
+    """Directions (rad) and those at right angles to them, as stripes and joints mostly cross; no more than ridges may
+    be."""
+    result = list(directions)
+    for direction in directions:
+        if _is_apart(direction + np.pi / 2, result):
+            result.append(direction + np.pi / 2)
+    return tuple(result[:MOST_RIDGES])
+
+
+def _is_apart(direction: float, others: Sequence[float]) -> bool:
+    return all(abs(np.sin(direction - other)) > np.sin(np.radians(_APART)) for other in others)
 
 
 @dataclass(frozen=True)

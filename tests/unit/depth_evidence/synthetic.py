@@ -37,10 +37,10 @@ def draw_psf(depth_mm: float, finer: int = 16, *, per_superpixel: int = 1, half:
     return psf / psf.sum()
 
 
-def make_bank(step_mm: float = 100.0, depths_mm: NDArray[np.float64] | None = None) -> Bank:
+def make_bank(step_mm: float = 100.0, depths_mm: NDArray[np.float64] | None = None, *, half: int = HALF) -> Bank:
     """Planes every so many mm from 70 to 350 cm, or at the depths given."""
     depths = np.arange(700.0, 3501.0, step_mm) if depths_mm is None else depths_mm
-    psf = np.array([draw_psf(z) for z in depths])
+    psf = np.array([draw_psf(z, half=half) for z in depths])
     se = np.maximum(1e-3 * psf, 1e-6)
     noisy = psf + se * np.random.default_rng(0).standard_normal(psf.shape)
     noisy /= noisy.sum(axis=(1, 2), keepdims=True)
@@ -56,7 +56,8 @@ def with_pupil(bank: Bank) -> Bank:
     """The same bank, holding the aperture's picture and the chief rays that its PSFs show, as a calibration stores."""
     spots = [Spot(p, s) for p, s in zip(bank.psf[0].astype(np.float64), bank.psf_se[0].astype(np.float64), strict=True)]
     fit = fit_spots(spots, 1.0 / bank.depths_mm)
-    chief = np.array([[(spot.centre_y - HALF, spot.centre_x - HALF) for spot in fit.spots]])
+    half = bank.psf.shape[2] // 2
+    chief = np.array([[(spot.centre_y - half, spot.centre_x - half) for spot in fit.spots]])
     radii = np.array([spot.radius_px for spot in fit.spots])  # in radii of the circle about the picture's outline
     lens = fit_lens(bank.depths_mm, radii, np.full(radii.size, 0.02), apply_zero=False)
     manifest = {**bank.manifest, "aperture": {"core_px": [fit.core_px]}}
@@ -73,13 +74,15 @@ def leaves(side: int, seed: int) -> NDArray[np.float64]:
     return cv2.resize(canvas, (side, side), interpolation=cv2.INTER_AREA).astype(np.float64)
 
 
-def photograph(texture: NDArray[np.float64], depth_mm: float, *, noise: float = 0.003, seed: int = 1) -> LinearImage:
+def photograph(
+    texture: NDArray[np.float64], depth_mm: float, *, noise: float = 0.003, seed: int = 1, half: int = HALF
+) -> LinearImage:
     """Blur, cut off what the border spoils, add noise; three equal channels.
 
     The texture is one of superpixels, smooth between them: light has all frequencies before the pixels see it.
     """
     smooth = cv2.resize(texture, None, fx=2.0, fy=2.0, interpolation=cv2.INTER_CUBIC)
-    light = blurred(smooth, draw_psf(depth_mm, per_superpixel=2, half=2 * HALF))
+    light = blurred(smooth, draw_psf(depth_mm, per_superpixel=2, half=2 * half))
     inner = light.reshape(light.shape[0] // 2, 2, light.shape[1] // 2, 2).mean(axis=(1, 3))
     generator = np.random.default_rng(seed)
     planes = inner[..., np.newaxis] + noise * generator.standard_normal((*inner.shape, 3))

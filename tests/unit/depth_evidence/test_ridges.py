@@ -5,14 +5,16 @@ from __future__ import annotations
 import cv2
 import numpy as np
 import pytest
+from scipy import ndimage
 
 from calibration.bank import Bank
-from tests.unit.depth_evidence.synthetic import leaves, photograph
+from tests.unit.depth_evidence.synthetic import leaves, make_bank, photograph, with_pupil
 from workbench.depth import evidence_spectrum
 from workbench.depth.evidence import EvidenceOptions, estimate_evidence, prepare
 from workbench.depth.evidence_observation import observe
-from workbench.depth.evidence_ridges import MOST_RIDGES, UNEXPLAINED, VISIBLE, ridge_directions
+from workbench.depth.evidence_ridges import MOST_RIDGES, UNEXPLAINED, VISIBLE, ridge_directions, with_perpendiculars
 from workbench.depth.evidence_spectrum import frequencies
+from workbench.depth.regions import whole
 
 SIZE = 128
 
@@ -112,3 +114,45 @@ def test_flat_letters_are_no_mixture_of_blurs(bank: Bank, seed: int) -> None:
     assert seen is not None
     assert seen.view.fit.ridges != ()
     assert seen.varied < EvidenceOptions().varied_log_likelihood
+
+
+def test_perpendiculars_join_where_they_are_new() -> None:
+    assert degrees(with_perpendiculars(np.radians([30.0, 118.0]).tolist())) == pytest.approx([30.0, 118.0])
+    assert degrees(with_perpendiculars((0.1,))) == pytest.approx(np.degrees([0.1, 0.1 + np.pi / 2]).tolist())
+    assert len(with_perpendiculars(np.radians(np.arange(0.0, 80.0, 15.0)).tolist())) == MOST_RIDGES
+
+
+@pytest.fixture(scope="module")
+def far_reaching_bank() -> Bank:
+    """Blurs up to a radius of 41 pixels, which spans more than half of a window."""
+    return with_pupil(make_bank(depths_mm=1.0 / np.linspace(1.0 / 385.0, 1.0 / 3500.0, 26), half=48))
+
+
+def plaid(side: int, seed: int, narrowest: int, widest: int, softness: float, grain: float) -> np.ndarray:
+    """Stripes down and across, a little soft, and a grain."""
+    generator = np.random.default_rng(seed)
+    stripes = []
+    for _ in range(2):
+        widths = generator.integers(narrowest, widest, side)
+        stripes.append(
+            ndimage.gaussian_filter1d(np.repeat(generator.uniform(0, 1, side), widths)[: side + 5], softness)
+        )
+    cloth = 0.2 + 0.3 * (stripes[0][:side, np.newaxis] + stripes[1][:side])
+    rough = ndimage.gaussian_filter(generator.standard_normal((side, side)), 1.0)
+    return cloth + grain * rough / rough.std()
+
+
+@pytest.mark.parametrize("depth_mm", [560.0, 612.0])
+@pytest.mark.parametrize(
+    ("seed", "stripes", "grain", "noise"),
+    [(0, (6, 30, 0.5), 0.0, 0.003), (2, (6, 30, 0.5), 0.0, 0.003), (3, (10, 60, 1.0), 0.005, 0.002)],
+)
+def test_plaid_is_not_taken_for_the_lines_that_the_largest_blurs_draw(
+    far_reaching_bank: Bank, depth_mm: float, seed: int, stripes: tuple[int, int, float], grain: float, noise: float
+) -> None:
+    """Without its own lines it read 39 cm, or nothing."""
+    cloth = plaid(256 + 140, seed, *stripes, grain)
+    image = photograph(cloth, depth_mm, noise=noise, half=48)
+    found = estimate_evidence(image, far_reaching_bank, whole(image.shape))[1]
+    assert found.depth_mm == pytest.approx(depth_mm, rel=0.02)
+    assert found.interval_mm[0] < depth_mm < found.interval_mm[1]
