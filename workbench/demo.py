@@ -40,7 +40,9 @@ def compare(measurement: Measurement, truth: SceneTruth) -> list[ObjectResult]:
         if not core.any():
             continue
         depths = measurement.depth_map_mm[core]
-        region = int(np.bincount(measurement.labels[core]).argmax())
+        held = np.bincount(measurement.labels[core])
+        held[0] = 0  # what is in no region
+        region = int(held.argmax())
         known = depths[np.isfinite(depths)]
         # fewer than half of its pixels with a depth: the object as a whole has none
         measured = float(np.median(known)) if known.size * 2 > depths.size else float("nan")

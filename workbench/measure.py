@@ -19,7 +19,7 @@ from workbench.banks import open_bank, quality_verdict
 from workbench.depth.allfocus import all_focus, depth_map
 from workbench.depth.depth_regions import regions_of_one_depth
 from workbench.depth.methods import DEFAULT_METHOD, estimate_depths, needs_second_view, option_values
-from workbench.depth.regions import SrmOptions, from_roi, srm, whole
+from workbench.depth.regions import SrmOptions, from_roi, srm, whole, without_parts
 from workbench.display import png_bytes, to_srgb8
 from workbench.errors import InputError
 from workbench.files import sha256_json, staged_files, write_json
@@ -178,9 +178,7 @@ def measure(path: Path, bank: Bank, bank_ref: str, options: MeasureOptions) -> M
         workers=workers,
         outlines_found=not options.regions_given,
     )
-    for estimate in estimates.values():
-        if estimate.left_out is not None:
-            labels = np.where(estimate.left_out, np.int32(0), labels)
+    labels = without_parts(labels, (estimate.left_out for estimate in estimates.values()))
     return Measurement(
         image=image,
         image_name=str(path),

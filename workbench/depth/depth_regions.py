@@ -35,6 +35,9 @@ Labels = NDArray[np.int32]
 
 _DARKEST = 1e-3
 """Least value of a colour, relative to the picture's mean."""
+_FAR_LARGER = 2.0
+"""Of two colours that both span pieces the smaller one is a guest where the other has more than so many times its
+pixels; else both are at home."""
 _WINDOW_SHARE = 0.37
 """Area of a window of which its taper makes use: the squared mean of a Hann taper's energy, both ways."""
 
@@ -174,8 +177,9 @@ def with_outlines(pieces: Labels, cell: int, labels: Labels, whole_share: float)
     """Give pieces the outlines of the colour regions.
 
     A colour region that lies mostly within one piece belongs to it as a whole. One that spans several is cut along the
-    cells; but in a piece of which whole ones are more than it is, or another one that spans several, or where it
-    doesn't fill a cell, it is a guest: what lies there goes to the nearest piece where it is at home, if there is one.
+    cells; but in a piece of which whole ones are more than it is, or another one that spans several far more, or where
+    it doesn't fill a cell, it is a guest: what lies there goes to the nearest piece where it is at home, if there is
+    one.
 
     Parameters
     ----------
@@ -204,9 +208,9 @@ def with_outlines(pieces: Labels, cell: int, labels: Labels, whole_share: float)
     owned = np.bincount(owner[is_whole], sizes[is_whole], minlength=count)
     boxes = ndimage.find_objects(labels)
     spanning = np.flatnonzero(~is_whole)
+    largest = shares[spanning].max(axis=0, initial=0)
     for region in spanning:
-        rivals = shares[spanning[spanning != region]].max(axis=0, initial=0)
-        at_home = shares[region] >= np.maximum(np.maximum(owned, rivals), cell * cell)
+        at_home = shares[region] >= np.maximum(np.maximum(owned, largest / _FAR_LARGER), cell * cell)
         if at_home.any() and (shares[region][~at_home] > 0).any():
             nearest = ndimage.distance_transform_edt(~at_home[pieces], return_distances=False, return_indices=True)
             box = boxes[region - 1]

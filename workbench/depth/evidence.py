@@ -31,6 +31,7 @@ from workbench.depth.evidence_findings import Findings, candidates_of, conclude,
 from workbench.depth.evidence_model import DepthModel, EvidenceOptions, Learned, learned_of, prepare
 from workbench.depth.occlusion import Place, outline_messages
 from workbench.depth.outline_blur import EdgeSpreads
+from workbench.depth.regions import without_parts
 from workbench.processors import each
 
 __all__ = ["EvidenceOptions", "estimate_evidence", "prepare"]
@@ -80,8 +81,9 @@ def estimate_evidence(
         label: candidates_of(seen, options) if isinstance(seen, Findings) else None for label, seen in looks.items()
     }
     nearest_mm, farthest_mm = float(bank.depths_mm[0]), float(bank.depths_mm[-1])
+    kept = without_parts(labels, (seen.left_out for seen in looks.values() if isinstance(seen, Findings)))
     told = outline_messages(
-        image, labels, candidates, spreads_at, (nearest_mm, farthest_mm), options.prior_power, workers
+        image, kept, candidates, spreads_at, (nearest_mm, farthest_mm), options.prior_power, workers
     )
     return {
         label: conclude(seen, options, told.get(label), outlines_found=outlines_found)

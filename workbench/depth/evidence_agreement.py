@@ -23,9 +23,12 @@ FloatArray = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 _LEAST_WINDOWS, _MOST_WINDOWS = 20, 200
+"""Windows that show a texture; fewer have no majority."""
 _LOUDEST, _DENIES = 4.0, 3.0
 """Nats by which a window may speak against a blur at most, and from which on it denies it."""
-_LEAST_PART = 0.5
+_MOST = 0.7
+"""Share of these windows that agree, and of the region that is left, at least: what is more is no strip of something
+else but another thing. All were chosen on 45 uneven regions of traced scenes (seeds 1000 to 7000)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,41 +60,59 @@ def agreement(view: View, mask: Mask, model: DepthModel, options: EvidenceOption
     view
         The region's superpixels.
     mask
-        bool (H, W): the same.
+        bool (H, W): the region, saturated pixels and all.
     model, options
         Radii of the blurs; size of the smallest windows, the least evidence of texture with which one has a voice.
 
     Returns
     -------
     Agreement or None
-        None where no window denies what suits the others, where less than half of the region is left, and where windows
-        are too few to speak of most.
+        None where no window denies what suits the others, where too many do, and where too few show a texture.
     """
-    windows = thinned(
-        place_windows(mask, view.soft, options.smallest_window_px, least_weight=options.least_weight), _MOST_WINDOWS
-    )
-    if len(windows) < _LEAST_WINDOWS:
+    windows = place_windows(mask, view.soft, options.smallest_window_px, least_weight=options.least_weight)
+    asked = [(window, _lost(view.plane, window, model, options)) for window in thinned(windows, _MOST_WINDOWS)]
+    heard = [(window, lost) for window, lost in asked if lost is not None]
+    if len(heard) < _LEAST_WINDOWS:
         return None
+    weight = np.array([window.weight for window, _ in heard])
     radius = np.abs(model.row_radius_px[PARTS_ROWS])
-    lost = np.stack([_lost(view.plane, window, model, options) for window in windows])
-    # a window may have any blur that differs too little from one that it likes
-    bearable = np.stack([lost[:, same_blur(radius, centre)].min(axis=1) for centre in radius], axis=1)
-    voice = np.array([window.weight for window in windows])
-    voice *= np.where(claims_focus(radius[lost.argmin(axis=1)]), FOCUS_TRUST, 1.0)
-    best = int((voice @ np.minimum(bearable, _LOUDEST)).argmin())
-    denies = bearable[:, best] > _DENIES
-    if denies.all() or not denies.any():
+    best, denies = most_agreed(np.stack([lost for _, lost in heard]), weight, radius)
+    if not denies.any() or weight[~denies].sum() < _MOST * weight.sum():
         return None
-    part = _largest(mask & _nearest(windows, ~denies, mask))
-    return Agreement(float(radius[best]), part) if part.sum() >= _LEAST_PART * mask.sum() else None
+    part = _largest(mask & _nearest([window for window, _ in heard], ~denies, mask))
+    return Agreement(float(radius[best]), part) if part.sum() >= _MOST * mask.sum() else None
 
 
-def _lost(plane: NDArray[np.float32], window: Window, model: DepthModel, options: EvidenceOptions) -> FloatArray:
-    """Nats that each of some blurs loses to a window's best one, float64 (R,); none of them where it shows nothing."""
+def most_agreed(lost: FloatArray, weight: FloatArray, radius_px: FloatArray) -> tuple[int, Mask]:
+    """The blur that suits most windows, and which of them deny it.
+
+    Parameters
+    ----------
+    lost
+        float64 (W, R): nats that each blur loses in each window to the one that suits it best.
+    weight
+        float64 (W,): of the windows.
+    radius_px
+        float64 (R,): |radii| of the blurs. A window may have any blur that differs too little from one that it likes.
+
+    Returns
+    -------
+    int, bool (W,)
+    """
+    bearable = np.stack([lost[:, same_blur(radius_px, centre)].min(axis=1) for centre in radius_px], axis=1)
+    voice = weight * np.where(claims_focus(radius_px[lost.argmin(axis=1)]), FOCUS_TRUST, 1.0)
+    cost, own_cost = (voice @ np.minimum(nats, _LOUDEST) for nats in (bearable, lost))
+    equal = np.flatnonzero(cost <= cost.min() + 1e-9 * voice.sum())  # all that differ too little from the best
+    best = int(equal[own_cost[equal].argmin()])
+    return best, np.asarray(bearable[:, best] > _DENIES)
+
+
+def _lost(plane: NDArray[np.float32], window: Window, model: DepthModel, options: EvidenceOptions) -> FloatArray | None:
+    """Nats that each of some blurs loses to a window's best one, float64 (R,); None where it shows no texture."""
     fit = fit_part(plane, [window], model, options).fit
     best = float(fit.log_likelihood.max())
     if best - fit.null < options.least_evidence:
-        return np.zeros(fit.log_likelihood.size)
+        return None
     return fit.likelihood_weight * (best - fit.log_likelihood)
 
 
@@ -101,8 +122,8 @@ def _nearest(windows: list[Window], chosen: Mask, mask: Mask) -> Mask:
     middles = np.array([_middle(window) for window in windows]).round().astype(int)
     y = np.clip(middles[:, 0] - rows.start, 0, rows.stop - rows.start - 1)
     x = np.clip(middles[:, 1] - columns.start, 0, columns.stop - columns.start - 1)
-    is_chosen, elsewhere = np.zeros((2, rows.stop - rows.start, columns.stop - columns.start), np.bool_)
-    elsewhere[:] = True
+    is_chosen = np.zeros((rows.stop - rows.start, columns.stop - columns.start), np.bool_)
+    elsewhere = np.ones_like(is_chosen)
     elsewhere[y, x] = False
     is_chosen[y[chosen], x[chosen]] = True
     nearest = ndimage.distance_transform_edt(elsewhere, return_distances=False, return_indices=True)

@@ -132,12 +132,10 @@ def unless_halves_disagree(
     """
     low_mm, high_mm = estimate.interval_mm
     settled = estimate.status == "ok"
-    if not np.isfinite(estimate.mirror_mm) or not (settled or low_mm <= estimate.mirror_mm <= high_mm):
+    pair = opposed_halves(estimate, modes, far_odds, model)
+    if pair is None or not (settled or low_mm <= estimate.mirror_mm <= high_mm):
         return estimate
     odds = far_odds[_nearest_mode(estimate, modes, model)]
-    pair = int(np.minimum(odds.max(axis=1), -odds.min(axis=1)).argmax())
-    if min(odds[pair].max(), -odds[pair].min()) < _OPPOSED:
-        return estimate
     names = (("upper", "lower"), ("left", "right"))[pair]
     near, far = sorted((estimate.depth_mm / 10, estimate.mirror_mm / 10))
     where = (near, far) if odds[pair][0] < 0 else (far, near)
@@ -148,6 +146,21 @@ def unless_halves_disagree(
     if not settled:
         return replace(estimate, reason=reason)
     return doubted(replace(estimate, interval_mm=_with_mirrored(estimate, model)), reason)
+
+
+def opposed_halves(
+    estimate: DepthEstimate, modes: Sequence[int], far_odds: FloatArray, model: DepthModel
+) -> int | None:
+    """Which pair of halves speaks for opposite sides of focus: 0 the upper and the lower one, 1 the left and the right.
+
+    None if neither does, or no mirror depth is in reach. For the parameters see :func:`unless_halves_disagree`.
+    """
+    if not np.isfinite(estimate.mirror_mm):
+        return None
+    odds = far_odds[_nearest_mode(estimate, modes, model)]
+    strength = np.minimum(odds.max(axis=1), -odds.min(axis=1))
+    pair = int(strength.argmax())
+    return pair if strength[pair] >= _OPPOSED else None
 
 
 def unless_negative(

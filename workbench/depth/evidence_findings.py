@@ -1,7 +1,7 @@
 """From a region's pixels to findings, from findings to its depth. In between its neighbours are heard.
 
 What a region's outlines say of its depth hangs on what its neighbours say of theirs, so that all regions of a picture
-are looked at before any is concluded. Findings hold what a conclusion needs and no picture.
+are looked at before any is concluded. Findings hold what a conclusion needs and no picture but what was left out.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from workbench.depth.estimate import DepthEstimate, Status
 from workbench.depth.evidence_agreement import agreement
 from workbench.depth.evidence_colour import informative_mixture
 from workbench.depth.evidence_doubt import (
+    opposed_halves,
     uneven,
     unless_another_blur_fits,
     unless_beyond_reach,
@@ -129,8 +130,8 @@ def look_at(
 ) -> Findings | DepthEstimate:
     """Look at one region, bool (H, W): findings, or at once an estimate without a depth that says why.
 
-    Of a region whose outline was found in the photograph, what its windows disagree on is left out where the rest is
-    surer of its depth without it.
+    Of a region whose outline was found in the photograph and that has no single blur, what most of its windows deny is
+    left out (:mod:`~workbench.depth.evidence_agreement`).
     """
     pixels = int(mask.sum())
     clipped = float((image.saturated & mask).sum()) / max(pixels, 1)
@@ -152,24 +153,31 @@ def look_at(
         reason = "only isolated spatial frequencies stand above the noise (a strict pattern): any blur explains them"
         return _refused(model, "no-texture", pixels, reason)
     findings = _findings(seen, model, learned, options)
-    return _without_strangers(findings, seen, image, usable, options) if outlines_found else findings
+    return _without_strangers(findings, seen, image, mask, options) if outlines_found else findings
 
 
 def _without_strangers(
     whole: Findings, seen: Observation, image: LinearImage, mask: Mask, options: EvidenceOptions
 ) -> Findings:
-    """Findings of what most windows of a found region agree on, where they are surer than those of the whole."""
+    """Findings of what most windows of a found region agree on, where they explain why the whole has no single blur."""
     old = conclude(whole, options, outlines_found=True)
-    agreed = None if old.status == "ok" else agreement(seen.view, mask, whole.model, options)
-    if agreed is None:
+    old_px = abs(whole.model.psfs.radius_px(old.depth_mm))
+    if _has_one_blur(whole, old_px, options) and not _halves_are_opposed(whole, old):
         return whole
-    rest = look_at(image, agreed.part, whole.model, whole.learned, options)
-    if not isinstance(rest, Findings):
+    agreed = agreement(seen.view, mask, whole.model, options)
+    rest = None if agreed is None else look_at(image, agreed.part, whole.model, whole.learned, options)
+    if agreed is None or not isinstance(rest, Findings):
         return whole
     new = conclude(rest, options, outlines_found=True)
-    has_their_blur = [agreed.suits(abs(whole.model.psfs.radius_px(found.depth_mm))) for found in (old, new)]
-    is_surer = new.status == "ok" or has_their_blur == [False, True]
-    return replace(rest, left_out=mask & ~agreed.part) if is_surer else whole
+    has_their_blur = agreed.suits(abs(whole.model.psfs.radius_px(new.depth_mm)))
+    if has_their_blur and (new.status == "ok" or not agreed.suits(old_px)):
+        return replace(rest, left_out=mask & ~agreed.part)
+    return whole
+
+
+def _halves_are_opposed(findings: Findings, estimate: DepthEstimate) -> bool:
+    odds = half_odds(findings.clues, findings.learned)
+    return opposed_halves(estimate, findings.modes, odds, findings.model) is not None
 
 
 def candidates_of(findings: Findings, options: EvidenceOptions) -> Candidates:

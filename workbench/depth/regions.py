@@ -12,6 +12,7 @@ Region merging is the published algorithm (:mod:`workbench.depth.merging`). What
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import cv2
@@ -22,6 +23,7 @@ from calibration.image import LinearImage
 from workbench.depth.merging import absorb_small, merge_regions
 
 Labels = NDArray[np.int32]
+Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True)
@@ -178,3 +180,13 @@ def _by_size(labels: Labels) -> Labels:
     rank = np.empty(len(counts), np.int32)
     rank[order] = np.arange(1, len(counts) + 1, dtype=np.int32)
     return np.ascontiguousarray(rank[labels])
+
+
+def without_parts(labels: Labels, parts: Iterable[Mask | None]) -> Labels:
+    """The same regions, int32 (H, W), but for some parts of the picture, bool (H, W), which belong to none (0)."""
+    kept = labels
+    for part in parts:
+        if part is not None:
+            kept = labels.copy() if kept is labels else kept
+            kept[part] = 0
+    return kept

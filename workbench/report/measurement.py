@@ -121,8 +121,10 @@ def _outline_note(e: DepthEstimate) -> str:
 
 
 def _left_out_note(e: DepthEstimate) -> str:
-    """How much of a found region has another blur, if any."""
-    return "" if e.left_out is None else f"{_count(int(e.left_out.sum()))} pixels of it have another blur: left out"
+    """How much of a found region was left out, if anything."""
+    if e.left_out is None:
+        return ""
+    return f"{_count(int(e.left_out.sum()))} pixels were left out: most of their windows have another blur"
 
 
 def _count(number: int) -> str:

@@ -174,14 +174,21 @@ def test_what_of_a_colour_lies_in_cells_of_another_surface_goes_home(bank: Bank)
     assert (labels[inside] == thing).mean() > 0.97
 
 
-def test_of_two_colours_that_span_pieces_the_smaller_one_is_the_guest() -> None:
-    """A card's blank half lies in the wall's cells: it goes to the piece where the card shows its letters."""
-    wall, letters, cell = 1, 2, 50
-    pieces = np.full((4, 8), wall, np.int32)
-    pieces[1:3, 4:6] = letters
-    pieces[:, :2] = 3  # the wall is in two pieces, so that no colour lies within one
-    colours = np.ones((200, 400), np.int32)
-    colours[50:150, 120:300] = 2  # the card, 80 pixels of it in the wall's cells
-    result = with_outlines(pieces, cell, colours, 0.7)
+def test_of_two_colours_that_span_pieces_the_far_smaller_one_is_the_guest() -> None:
+    """A card's blank part lies in the wall's cells: it goes to the piece where the card shows its letters."""
+    wall, more, letters, frame, cell = 1, 2, 3, 4, 50
+    pieces = np.full((6, 9), wall, np.int32)
+    pieces[:, :3], pieces[:, 7:], pieces[2:4, 5:7] = more, frame, letters  # no colour lies half within one
+    colours = np.ones((300, 450), np.int32)
+    colours[100:200, 170:370] = 2  # the card: 80 columns of it among the wall, 20 in the frame
+    result = with_outlines(pieces, cell, colours, 0.51)
     assert (result[colours == 2] == letters).all()
-    assert set(np.unique(result[colours == 1])) == {wall, 3}
+    assert set(np.unique(result[colours == 1])) == {wall, more, frame}
+
+
+def test_of_two_colours_of_like_size_none_is_a_guest() -> None:
+    pieces = np.repeat(np.array([1, 2, 3], np.int32), 2)[:, np.newaxis] * np.ones(8, np.int32)
+    colours = np.ones((300, 400), np.int32)
+    colours[:, 220:] = 2
+    result = with_outlines(pieces, 50, colours, 0.5)
+    assert all((result[100 * k : 100 * (k + 1)] == k + 1).all() for k in range(3))

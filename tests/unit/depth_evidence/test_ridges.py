@@ -156,3 +156,14 @@ def test_plaid_is_not_taken_for_the_lines_that_the_largest_blurs_draw(
     found = estimate_evidence(image, far_reaching_bank, whole(image.shape))[1]
     assert found.depth_mm == pytest.approx(depth_mm, rel=0.02)
     assert found.interval_mm[0] < depth_mm < found.interval_mm[1]
+
+
+def test_blur_that_is_right_keeps_its_lines(far_reaching_bank: Bank) -> None:
+    """Leaves have no lines; those that are seen are the aperture's own."""
+    image = photograph(leaves(256 + 140, 41), 450.0, half=48)
+    mask = np.ones(image.shape, bool)
+    model = prepare(far_reaching_bank, EvidenceOptions())
+    seen = observe(image.luminance, mask, model, EvidenceOptions())
+    assert seen is not None
+    assert abs(model.row_radius_px[seen.view.fit.log_likelihood.argmax()]) > 128 / 4
+    assert seen.view.fit.ridges == ()
