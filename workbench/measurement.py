@@ -75,7 +75,6 @@ class Measurement:
                     "mirror_probability": _round(estimate.mirror_probability, 4),
                     "second_mm": _round(estimate.second_mm),
                     "pixels": estimate.pixels,
-                    "left_out_pixels": 0 if estimate.left_out is None else int(estimate.left_out.sum()),
                     "status": estimate.status,
                     "reason": estimate.reason,
                 }
