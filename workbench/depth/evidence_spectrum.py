@@ -41,7 +41,8 @@ _LESS_PER_RIDGE = 0.28
 best how far the radius is off, in standard errors by the likelihood's curvature (405 regions, seeds 77 and 78)."""
 _LINES_GAIN = 10.0
 """Nats that ridges must gain on a blur that draws lines itself. Of 32 regions that such a blur fits (of 942 by the
-simulated rig) 28 gain up to 7, and no depth of the others gets worse; traced plaids that read wrong gain 47 and 55."""
+simulated rig) 28 gain up to 7; of the other four two gross ones are mended, one goes 2 cm farther off. Traced plaids
+that read wrong gain 47 and 55."""
 _RIDGE_ROUNDS = 2
 """How often lines are sought in what is left unexplained."""
 _ABOVE_NOISE = 1.5
