@@ -80,6 +80,24 @@ def test_blank_windows_are_no_majority(bank: Bank) -> None:
     assert found.status != "ok" or found.interval_mm[0] < 1250.0 < 2100.0 < found.interval_mm[1]
 
 
+def test_what_is_more_than_a_strip_is_no_stranger(bank: Bank) -> None:
+    image = with_strip(1050.0, 1650.0, 110)
+    found = estimate_evidence(image, bank, whole(image.shape), outlines_found=True)[1]
+    assert found.status == "ambiguous"
+    assert found.left_out is None
+
+
+def test_what_strangers_cut_off_is_left_out_with_them(bank: Bank) -> None:
+    plane, foot = (photograph(leaves(SIDE + 60, seed), z) for seed, z in ((31, 1050.0), (32, 1650.0)))
+    row = np.arange(plane.shape[0])
+    across = (row >= 212) & (row < 240)
+    image = as_image(np.where(across[:, np.newaxis, np.newaxis], foot.planes, plane.planes))
+    found = estimate_evidence(image, bank, whole(image.shape), outlines_found=True)[1]
+    assert found.depth_mm == pytest.approx(1050.0, rel=0.02)
+    assert found.left_out is not None
+    assert found.left_out[-15:].mean() > 0.9
+
+
 def test_windows_vote_with_bounded_voices() -> None:
     radius = np.arange(0.0, 20.0)
     calm, loud = 3.9 * np.minimum(np.abs(radius - 12.0) / 6.0, 1.0), 100.0 * np.abs(radius - 3.0)
