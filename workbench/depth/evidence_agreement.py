@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from workbench.depth.evidence_model import DepthModel, EvidenceOptions
-from workbench.depth.evidence_uniform import FOCUS_TRUST, PARTS_ROWS, claims_focus, fit_part, same_blur
+from workbench.depth.evidence_uniform import PARTS_ROWS, fit_part, focus_trust, same_blur
 from workbench.depth.evidence_view import View
 from workbench.depth.evidence_windows import Window, place_windows, thinned
 from workbench.depth.regions import bounding_box
@@ -100,7 +100,7 @@ def most_agreed(lost: FloatArray, weight: FloatArray, radius_px: FloatArray) -> 
     int, bool (W,)
     """
     bearable = np.stack([lost[:, same_blur(radius_px, centre)].min(axis=1) for centre in radius_px], axis=1)
-    voice = weight * np.where(claims_focus(radius_px[lost.argmin(axis=1)]), FOCUS_TRUST, 1.0)
+    voice = weight * focus_trust(radius_px[lost.argmin(axis=1)])
     cost, own_cost = (voice @ np.minimum(nats, _LOUDEST) for nats in (bearable, lost))
     equal = np.flatnonzero(cost <= cost.min() + 1e-9 * voice.sum())  # all that differ too little from the best
     best = int(equal[own_cost[equal].argmin()])

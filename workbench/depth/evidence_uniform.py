@@ -31,7 +31,7 @@ _OWN = 0.8
 """Least share of a window's taper within the part that it counts for; windows across a cut are left out."""
 _CHANCE = 1.0
 """Log-likelihood that a part may lose by chance."""
-_FOCUS_PX, FOCUS_TRUST = 1.0, 0.1
+_FOCUS_PX, _FOCUS_TRUST = 1.0, 0.1
 """A part that holds little but one strong edge near its border is put in focus by what the taper's slope makes of it:
 parts that claim to be in focus count for less."""
 PARTS_ROWS = slice(None, None, 3)
@@ -161,7 +161,7 @@ def parts_loss(parts: Sequence[Part], model: DepthModel, radius_px: float | None
     shared = float(radius[each.sum(axis=0).argmax()]) if radius_px is None else radius_px
     alike = same_blur(radius, shared)
     lost = np.maximum(each.max(axis=1) - each[:, alike].max(axis=1) - _CHANCE, 0.0)
-    return float(np.where(claims_focus(radius[each.argmax(axis=1)]), FOCUS_TRUST, 1.0) @ lost)
+    return float(focus_trust(radius[each.argmax(axis=1)]) @ lost)
 
 
 def same_blur(radius_px: FloatArray, centre_px: float) -> Mask:
@@ -169,9 +169,9 @@ def same_blur(radius_px: FloatArray, centre_px: float) -> Mask:
     return np.asarray(np.abs(radius_px - centre_px) <= _SAME_PX + _SAME_SHARE * centre_px)
 
 
-def claims_focus(radius_px: FloatArray) -> Mask:
-    """Which |radii| are those of a part that claims to be in focus, bool like ``radius_px``."""
-    return np.asarray(radius_px < _FOCUS_PX)
+def focus_trust(radius_px: FloatArray) -> FloatArray:
+    """What parts that like these |radii| best count for, float64 like ``radius_px``: less where they claim focus."""
+    return np.where(radius_px < _FOCUS_PX, _FOCUS_TRUST, 1.0)
 
 
 def read_parts(
