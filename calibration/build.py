@@ -376,7 +376,7 @@ def _assemble(
         stacks=fields[central].stacks,
         psf=np.stack([p.psf for p in planes[central]]),
         psf_se=np.stack([p.se for p in planes[central]]),
-        core_px=fields[central].fit.core_px,
+        core_px=fields[central].fit.core.sigma_px,
     )
     size = options.sensor_size or _known_size(infos[0][1])
     radius_mm = None
@@ -399,7 +399,8 @@ def _assemble(
         },
         "aperture": {
             "radius_mm": radius_mm,
-            "core_px": [f.fit.core_px for f in fields],
+            "core_px": [f.fit.core.sigma_px for f in fields],
+            "core_wings": [f.fit.core.wings for f in fields],
         },
         "dot_radius_px": fields[central].dot_radius.tolist(),
         "frames": [

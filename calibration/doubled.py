@@ -159,7 +159,7 @@ def second_copy(spot: Spot, fit: TemplateFit, radius_px: float) -> Copy:
     """
     values = spot.values
     shape = (int(values.shape[0]), int(values.shape[1]))
-    core = float(np.sqrt(fit.core_px**2 + spot.extra_variance_px2))
+    core = fit.core.of_dot(spot.extra_variance_px2)
 
     def picture(radius: float, y: float, x: float) -> FloatArray:
         return render(fit.template, HALF_EXTENT, shape, radius=radius, centre=(y, x), core=core)
@@ -233,7 +233,7 @@ def _single_residual(
     """Residual power of one picture of whatever size suits best."""
     y, x = start_yx
     start = SpotFit(radius_px, 0.0, float(y), float(x), 0.0, float(spot.values.sum()), 1.0, 0.0)
-    one = fit_spot(fit.template, soften(spot), start, fit.core_px)
+    one = fit_spot(fit.template, soften(spot), start, fit.core)
     drawn = picture(one.radius_px, one.centre_y, one.centre_x)
     flux = float((spot.values * drawn).sum() / max(float((drawn * drawn).sum()), 1e-30))
     return float(((spot.values - flux * drawn) ** 2).sum())

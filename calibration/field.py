@@ -88,8 +88,9 @@ def central_bank(bank: Bank) -> Bank:
     }
     manifest = dict(bank.manifest)
     aperture = dict(manifest.get("aperture", {}))
-    if aperture.get("core_px"):
-        manifest["aperture"] = {**aperture, "core_px": [aperture["core_px"][index]]}
+    of_places = {name: [aperture[name][index]] for name in ("core_px", "core_wings") if aperture.get(name)}
+    if of_places:
+        manifest["aperture"] = {**aperture, **of_places}
     return replace(
         bank,
         psf=bank.psf[index : index + 1],

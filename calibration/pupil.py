@@ -1,7 +1,7 @@
 """The PSF at any depth: one picture of the pupil, scaled in 1/z, fitted to all measured PSFs of a bank.
 
 A thin lens images a point to a copy of its pupil whose signed radius is linear in 1/z (METHOD Eq. 1). With the pupil's
-picture ``T``, a Gaussian core for everything that doesn't scale (diffraction, aberration, the renderer's pixel filter)
+picture ``T``, a core for everything that doesn't scale (diffraction, aberration, the renderer's pixel filter)
 and the chief ray's place, the PSF between and beyond the measured planes is integrated over pixels without sampling
 error (:func:`calibration.template.render`). Where the measured PSFs don't follow that picture, because the pupil's
 outline changes with depth (a lens that vignettes) or its edges ring, :class:`PsfInterpolator` blends the two measured
@@ -10,9 +10,9 @@ neighbours, each scaled to the radius in between.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Literal, Protocol
+from typing import Any, Literal, Protocol
 
 import cv2
 import numpy as np
@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from calibration.bank import Bank
 from calibration.errors import FitError
 from calibration.lens_fit import LensFit
-from calibration.template import HALF_EXTENT, Spot, fit_spots, render
+from calibration.template import HALF_EXTENT, Core, Spot, fit_spots, render
 
 __all__ = [
     "BetweenPlanes",
@@ -40,8 +40,6 @@ GOOD_RESIDUAL = 0.06
 """Where the pupil's median residual (root of residual power over the PSF's power, noise removed) is larger than this,
 blending neighbours is asked whether it describes the bank better."""
 _ENDS = 1e-9
-_CORES = 6.0
-"""Standard deviations of the core beyond which nothing of it is left."""
 
 
 class PsfModel(Protocol):
@@ -77,8 +75,8 @@ class PupilModel:
         Half side of the template in radii.
     radius_line
         (intercept, slope): radius in px is intercept + slope / depth_mm.
-    core_px
-        Standard deviation of the Gaussian core besides the pixel's box.
+    core
+        What blurs every point alike besides the pixel's box.
     chief_line
         float64 (2, 2): (intercept, slope) over 1/depth of the chief ray's row and column relative to the centre pixel.
     size
@@ -90,7 +88,7 @@ class PupilModel:
     template: FloatArray
     half_extent: float
     radius_line: tuple[float, float]
-    core_px: float
+    core: Core
     chief_line: FloatArray
     size: int
     depths_mm: FloatArray = field(default_factory=lambda: np.zeros(0))
@@ -119,20 +117,20 @@ class PupilModel:
             (k, k),
             radius=self.radius_px(depth_mm),
             centre=(k // 2 + dy, k // 2 + dx),
-            core=self.core_px,
+            core=self.core,
         )
         return np.asarray(picture / max(float(picture.sum()), 1e-12), np.float32)
 
     def side_px(self, depth_mm: float) -> int:
         """Odd side K that holds all of the PSF at a depth: its picture, its core and its chief ray's place."""
-        reach = self.half_extent * abs(self.radius_px(depth_mm)) + _CORES * self.core_px
+        reach = self.half_extent * abs(self.radius_px(depth_mm)) + self.core.reach_px
         return 2 * int(np.ceil(reach + max(map(abs, self.chief_yx(depth_mm))) + 0.5)) + 1
 
     def finer(self, factor: int) -> PupilModel:
         """The same on pixels ``factor`` times as fine: what a bank of superpixels says of single photosites."""
         line = self.radius_line[0] * factor, self.radius_line[1] * factor
         return replace(
-            self, radius_line=line, core_px=self.core_px * factor, chief_line=self.chief_line * factor,
+            self, radius_line=line, core=self.core.finer(factor), chief_line=self.chief_line * factor,
             size=self.size * factor,
         )  # fmt: skip
 
@@ -238,7 +236,7 @@ def fit_pupil(
     fit = fit_spots(spots, 1.0 / np.asarray(depths_mm, np.float64))
     half = psf.shape[1] // 2
     chief = np.array([(s.centre_y - half, s.centre_x - half) for s in fit.spots])
-    model = _assemble(fit.template, fit.core_px, np.asarray(depths_mm, np.float64), chief, lens, psf.shape[1])
+    model = _assemble(fit.template, fit.core, np.asarray(depths_mm, np.float64), chief, lens, psf.shape[1])
     # the picture's unit is the circle about its own outline, the lens fit's may be another
     found, expected = np.array([s.radius_px for s in fit.spots]), lens.sigma_px(model.depths_mm)
     unit = float(found @ expected / (expected @ expected))
@@ -255,14 +253,14 @@ def pupil_of_bank(bank: Bank, field_index: int | None = None) -> PupilModel:
     index = bank.central_index if field_index is None else field_index
     psf, se = bank.psf[index], bank.psf_se[index]
     lens = _lens_of(bank, index)
-    cores = bank.manifest.get("aperture", {}).get("core_px")
+    cores = _cores_of(bank.manifest)
     if "aperture" not in bank.extras or "chief_yx" not in bank.extras or not cores:
         return fit_pupil(bank.depths_mm, psf, se, lens)
     template = np.asarray(bank.extras["aperture"], np.float64)
     chief = np.asarray(bank.extras["chief_yx"][index], np.float64)
     if index != bank.central_index:
         return fit_pupil(bank.depths_mm, psf, se, lens)  # off axis the lens barrel trims the pupil: its own picture
-    model = _assemble(template, float(cores[index]), bank.depths_mm, chief, lens, psf.shape[1])
+    model = _assemble(template, cores[index], bank.depths_mm, chief, lens, psf.shape[1])
     return replace(model, residual=_residual(model, chief, psf, se))
 
 
@@ -322,6 +320,16 @@ def interpolator_of_bank(bank: Bank, field_index: int) -> PsfInterpolator:
     return replace(whole, residual=residual)
 
 
+def _cores_of(manifest: Mapping[str, Any]) -> list[Core]:
+    """The core of each field position, from a bank's manifest; none where it doesn't say."""
+    aperture = manifest.get("aperture", {})
+    sigmas = aperture.get("core_px") or []
+    return [
+        Core(float(sigma), float(wings))
+        for sigma, wings in zip(sigmas, aperture.get("core_wings") or [0.0] * len(sigmas), strict=True)
+    ]
+
+
 def _lens_of(bank: Bank, index: int) -> LensFit:
     radii = bank.extras.get("field_radius_px")
     if index == bank.central_index or radii is None:
@@ -336,7 +344,7 @@ def _radius_line(depths_mm: FloatArray, lens: LensFit) -> tuple[float, float]:
 
 
 def _assemble(
-    template: FloatArray, core_px: float, depths_mm: FloatArray, chief_yx: FloatArray, lens: LensFit, size: int
+    template: FloatArray, core: Core, depths_mm: FloatArray, chief_yx: FloatArray, lens: LensFit, size: int
 ) -> PupilModel:
     # robust lines: the chief ray moves in proportion to 1/z where the stage isn't quite parallel to the axis
     u = 1.0 / depths_mm
@@ -354,7 +362,7 @@ def _assemble(
         template=template,
         half_extent=HALF_EXTENT,
         radius_line=_radius_line(depths_mm, lens),
-        core_px=core_px,
+        core=core,
         chief_line=np.array(lines),
         size=size,
         depths_mm=depths_mm,

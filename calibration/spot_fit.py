@@ -1,8 +1,8 @@
 """Signed radius and chief ray of one point's image, given the aperture's picture and the common core.
 
-Levenberg-Marquardt with exact slopes on (radius, row, column) and, where asked for, the core's variance; the flux is
-eliminated. Only a window about the aperture's image is looked at: the wings that diffraction and stray light spread far
-beyond it say nothing about radius and place.
+Levenberg-Marquardt with exact slopes on (radius, row, column) and, where asked for, the core's variance and its
+wings; the flux is eliminated. Only a window about the aperture's image is looked at: the stray light that spreads far
+beyond it says nothing about radius and place.
 """
 
 from __future__ import annotations
@@ -12,13 +12,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.render import HALF_EXTENT, render, render_slopes
+from calibration.render import HALF_EXTENT, Core, render, render_slopes
 
 FloatArray = NDArray[np.float64]
 
 MODEL_ERROR = 0.02
 """Error of the common aperture's picture, as a fraction of a spot's plateau."""
 MIN_CORE_PX = 0.05
+_MOST_WINGS = 0.3
 
 _WINDOW_MARGIN_PX = 8.0
 _SMALL_STEP_PX = 2e-4
@@ -70,12 +71,12 @@ def window_of(spot: Spot, fit: SpotFit) -> tuple[slice, slice]:
     return rows, columns
 
 
-def fit_spot(template: FloatArray, spot: Spot, start: SpotFit, core: float, *, iterations: int = 12) -> SpotFit:
+def fit_spot(template: FloatArray, spot: Spot, start: SpotFit, core: Core, *, iterations: int = 12) -> SpotFit:
     """Fit radius and chief ray from where ``start`` is; standard errors are scaled by the misfit."""
     return _fit(template, spot, start, core, window_of(spot, start), iterations=iterations)[0]
 
 
-def fit_either_sign(template: FloatArray, spot: Spot, start: SpotFit, core: float, *, iterations: int = 12) -> SpotFit:
+def fit_either_sign(template: FloatArray, spot: Spot, start: SpotFit, core: Core, *, iterations: int = 12) -> SpotFit:
     """:func:`fit_spot` from ``start`` and from its mirror image; the better one."""
     window = window_of(spot, start)
     first = _fit(template, spot, start, core, window, iterations=iterations)[0]
@@ -93,47 +94,56 @@ def fit_either_sign(template: FloatArray, spot: Spot, start: SpotFit, core: floa
     return second if second.chi2 < first.chi2 else first
 
 
-def fit_core(template: FloatArray, spot: Spot, start: SpotFit, core: float) -> tuple[float, float]:
-    """Variance (px^2) of the core that suits one spot, fitted together with radius and place, and its standard error.
+def fit_core(
+    template: FloatArray, spot: Spot, start: SpotFit, core: Core, *, wings: bool
+) -> tuple[FloatArray, FloatArray]:
+    """The core that suits one spot, fitted together with radius and place.
 
     Held at the radii of the last turn instead, it would take many turns to move, since a wider core and a smaller
     radius look alike.
+
+    Returns
+    -------
+    values, errors
+        float64 (2,): variance (px^2) and share of the wings, which stays that of ``core`` unless ``wings`` are fitted,
+        too; their standard errors.
     """
-    return _fit(template, spot, start, core, window_of(spot, start), free_core=True)[1]
+    return _fit(template, spot, start, core, window_of(spot, start), of_core=2 if wings else 1)[1]
 
 
 def _fit(
     template: FloatArray,
     whole: Spot,
     start: SpotFit,
-    core: float,
+    core: Core,
     window: tuple[slice, slice],
     *,
-    free_core: bool = False,
+    of_core: int = 0,
     iterations: int = 12,
-) -> tuple[SpotFit, tuple[float, float]]:
+) -> tuple[SpotFit, tuple[FloatArray, FloatArray]]:
     values, weight = whole.values[window], 1.0 / whole.se[window]
     shape = (int(values.shape[0]), int(values.shape[1]))
-    corner = np.array([0.0, window[0].start, window[1].start, 0.0])
-    free = 4 if free_core else 3
-    least = np.array([-np.inf, -np.inf, -np.inf, MIN_CORE_PX**2])
+    corner = np.array([0.0, window[0].start, window[1].start, 0.0, 0.0])
+    free = 3 + of_core
+    least = np.array([-np.inf, -np.inf, -np.inf, MIN_CORE_PX**2, 0.0])
+    most = np.array([np.inf, np.inf, np.inf, np.inf, _MOST_WINGS])
     weighted = values * weight
 
-    def width(p: FloatArray) -> float:
-        return float(np.sqrt(p[3] + whole.extra_variance_px2))
+    def core_of(p: FloatArray) -> Core:
+        return Core(float(np.sqrt(p[3])), float(p[4]), whole.extra_variance_px2)
 
     def profile(model: FloatArray) -> tuple[float, float]:
         scaled = model * weight
         flux = float((scaled * weighted).sum() / max(float((scaled * scaled).sum()), 1e-300))
         return flux, float(((weighted - flux * scaled) ** 2).sum())
 
-    p = np.array([start.radius_px, start.centre_y, start.centre_x, core**2]) - corner
+    p = np.array([start.radius_px, start.centre_y, start.centre_x, core.sigma_px**2, core.wings]) - corner
     damping, cost, flux = 1e-3, np.inf, start.flux
     model = np.zeros(shape)
     hessian = np.eye(free + 1)
     for _ in range(iterations):
         model, slopes = render_slopes(
-            template, HALF_EXTENT, shape, radius=float(p[0]), centre=(float(p[1]), float(p[2])), core=width(p)
+            template, HALF_EXTENT, shape, radius=float(p[0]), centre=(float(p[1]), float(p[2])), core=core_of(p)
         )
         flux, cost = profile(model)
         jacobian = (np.concatenate([flux * slopes[:free], model[np.newaxis]]) * weight).reshape(free + 1, -1)
@@ -143,15 +153,15 @@ def _fit(
         for _ in range(6):
             damped = hessian + damping * np.diag(np.diag(hessian) + 1e-12)
             limit = 0.5 * max(abs(p[0]), 2.0)
-            change = np.zeros(4)
+            change = np.zeros(5)
             change[:free] = np.clip(np.linalg.lstsq(damped, gradient, rcond=None)[0][:free], -limit, limit)
-            trial = np.maximum(p + change, least)
+            trial = np.clip(p + change, least, most)
             step = float(np.abs(trial - p).max())
             if step < _SMALL_STEP_PX:
                 break
             trial_model = render(
                 template, HALF_EXTENT, shape,
-                radius=float(trial[0]), centre=(float(trial[1]), float(trial[2])), core=width(trial),
+                radius=float(trial[0]), centre=(float(trial[1]), float(trial[2])), core=core_of(trial),
             )  # fmt: skip
             trial_flux, trial_cost = profile(trial_model)
             if trial_cost < cost:
@@ -178,4 +188,6 @@ def _fit(
         chi2=chi2,
         misfit=float(np.sqrt(residual / (values**2).sum())),
     )
-    return fit, (float(p[3]), float(errors[3]) if free_core and errors[3] > 0 else np.inf)
+    core_se = np.full(2, np.inf)
+    core_se[:of_core] = np.where(errors[3:free] > 0, errors[3:free], np.inf)
+    return fit, (p[3:], core_se)

@@ -6,7 +6,7 @@ a small core and integrated over pixels::
     image = flux * Ay(radius, cy, core) @ T @ Ax(radius, cx, core)^T
 
 ``T`` is the aperture on a grid in units of its own radius; ``Ay`` and ``Ax`` hold, exactly, the share of each grid
-cell that falls into each pixel row or column (a box scaled, blurred by a Gaussian and integrated over a box: both
+cell that falls into each pixel row or column (a box scaled, blurred by the core and integrated over a box: both
 separate in y and x). ``T`` and the radii are found in turns: radii, shifts and flux by Gauss-Newton, ``T`` by the
 Richardson-Lucy iteration over all images together, which deconvolves pixels and core. The result needs no knowledge
 of the aperture's shape, and holds where a PSF is hardly wider than its core.
@@ -22,10 +22,10 @@ from numpy.typing import NDArray
 
 from calibration.errors import FitError
 from calibration.pupil_outline import circumscribed
-from calibration.render import HALF_EXTENT, render, share_matrix
+from calibration.render import HALF_EXTENT, Core, render, share_matrix
 from calibration.spot_fit import MIN_CORE_PX, Spot, SpotFit, fit_core, fit_either_sign, fit_spot, soften, window_of
 
-__all__ = ["HALF_EXTENT", "Spot", "SpotFit", "TemplateFit", "fit_spots", "render"]
+__all__ = ["HALF_EXTENT", "Core", "Spot", "SpotFit", "TemplateFit", "fit_spots", "render"]
 
 FloatArray = NDArray[np.float64]
 
@@ -46,15 +46,15 @@ class TemplateFit:
         float64 (N, N), sums to 1, oriented as the PSF beyond focus; covers +-``half_extent`` radii.
     half_extent
         Half side of the template in radii.
-    core_px
-        Standard deviation of the common Gaussian core, besides the pixel's own box.
+    core
+        What blurs every spot alike.
     spots
         Fits per spot.
     """
 
     template: FloatArray
     half_extent: float
-    core_px: float
+    core: Core
     spots: tuple[SpotFit, ...]
 
 
@@ -82,10 +82,10 @@ def fit_spots(spots: Sequence[Spot], inverse_depth: FloatArray, *, start: Templa
     size = max(abs(f.radius_px) for f in start.spots)
     n_cells = int(np.clip(np.ceil(2 * HALF_EXTENT * size / 0.7), 40, 160))
     template = _resample(start.template, (0.0, 0.0), 1.0, n_cells)
-    fits, core = list(start.spots), start.core_px
+    fits, core = list(start.spots), start.core
     for turn in range(FINE_TURNS):
         last = turn == FINE_TURNS - 1
-        template, core = _turn(template, spots, fits, core, 25 if last else 12)
+        template, core = _turn(template, spots, fits, core, 100 if last else 50, wings=True)
         fits = [fit_spot(template, spot, fit, core) for spot, fit in zip(spots, fits, strict=True)]
     template, fits = _to_gauge(template, fits)
     return TemplateFit(template, HALF_EXTENT, core, tuple(fits))
@@ -99,27 +99,27 @@ def _coarse_fit(spots: Sequence[Spot], radii: FloatArray, centres: FloatArray) -
         raise FitError("every point is in focus (blur radius below 2.5 px): spread the depths, or focus elsewhere")
     n_cells = int(np.clip(np.ceil(2 * HALF_EXTENT * size / 1.4), 40, 80))
     template = _start_template(spots[biggest], n_cells, radii[biggest], centres[biggest])
-    core = MIN_CORE_PX
+    core = Core(MIN_CORE_PX)
     fits = [
         SpotFit(float(r), 0.0, float(c[0]), float(c[1]), 0.0, float(s.values.sum()), 1.0, 0.0)
         for s, r, c in zip(spots, radii, centres, strict=True)
     ]
     for turn in range(COARSE_TURNS):
-        template, core = _turn(template, spots, fits, core, 12)
+        template, core = _turn(template, spots, fits, core, 12, wings=False)
         fit = fit_spot if turn == 0 else fit_either_sign
         fits = [fit(template, spot, found, core, iterations=6) for spot, found in zip(spots, fits, strict=True)]
     return TemplateFit(template, HALF_EXTENT, core, tuple(fits))
 
 
 def _turn(
-    template: FloatArray, spots: Sequence[Spot], fits: Sequence[SpotFit], core: float, iterations: int
-) -> tuple[FloatArray, float]:
+    template: FloatArray, spots: Sequence[Spot], fits: Sequence[SpotFit], core: Core, iterations: int, *, wings: bool
+) -> tuple[FloatArray, Core]:
     """Aperture and core at the radii found so far."""
     sizes = np.abs([f.radius_px for f in fits])
     builders = np.argsort(sizes)[::-1][: max(3, min(10, len(spots) // 2))]
     template = _refine_template(template, [(spots[i], fits[i]) for i in builders], core, iterations)
     pairs = [p for p in zip(spots, fits, strict=True) if CORE_FROM_PX < abs(p[1].radius_px) < 0.6 * sizes.max()]
-    return template, _common_core(template, pairs, core)
+    return template, _common_core(template, pairs, core, wings=wings)
 
 
 def _moments(spot: Spot) -> tuple[FloatArray, float]:
@@ -164,26 +164,26 @@ def _first_guess(spots: Sequence[Spot], inverse_depth: FloatArray) -> tuple[Floa
 
 
 def _start_template(spot: Spot, n_cells: int, radius: float, centre: FloatArray) -> FloatArray:
-    ay = share_matrix(spot.values.shape[0], n_cells, HALF_EXTENT, centre=centre[0], radius=radius, core=0.3)
-    ax = share_matrix(spot.values.shape[1], n_cells, HALF_EXTENT, centre=centre[1], radius=radius, core=0.3)
+    ay = share_matrix(spot.values.shape[0], n_cells, HALF_EXTENT, centre=centre[0], radius=radius, core=Core(0.3))
+    ax = share_matrix(spot.values.shape[1], n_cells, HALF_EXTENT, centre=centre[1], radius=radius, core=Core(0.3))
     start = ay.T @ np.maximum(spot.values, 0.0) @ ax
     start += 1e-3 * start.max()
     return np.asarray(start / start.sum(), np.float64)
 
 
 def _refine_template(
-    template: FloatArray, pairs: Sequence[tuple[Spot, SpotFit]], core: float, iterations: int
+    template: FloatArray, pairs: Sequence[tuple[Spot, SpotFit]], core: Core, iterations: int
 ) -> FloatArray:
     """Richardson-Lucy over several images: T <- T * sum A'(y / A T) / sum A' 1, images weighed by their size."""
     n = template.shape[0]
     axes = []
     for spot, fit in pairs:
-        width = float(np.sqrt(core**2 + spot.extra_variance_px2))
+        own = core.of_dot(spot.extra_variance_px2)
         window = window_of(spot, fit)
         data = spot.values[window]
         y, x = fit.centre_y - window[0].start, fit.centre_x - window[1].start
-        ay = share_matrix(data.shape[0], n, HALF_EXTENT, centre=y, radius=fit.radius_px, core=width)
-        ax = share_matrix(data.shape[1], n, HALF_EXTENT, centre=x, radius=fit.radius_px, core=width)
+        ay = share_matrix(data.shape[0], n, HALF_EXTENT, centre=y, radius=fit.radius_px, core=own)
+        ax = share_matrix(data.shape[1], n, HALF_EXTENT, centre=x, radius=fit.radius_px, core=own)
         axes.append((ay, ax, np.maximum(data, 0.0) / fit.flux, fit.radius_px**2))
     norm = sum(w * np.outer(ay.sum(axis=0), ax.sum(axis=0)) for ay, ax, _, w in axes)
     norm = np.maximum(norm, 1e-3 * np.max(norm))
@@ -226,19 +226,25 @@ def _resample(template: FloatArray, origin: tuple[float, float], size: float, n_
     matrices = []
     for offset in origin:
         centre = (n_cells - 1) / 2.0 - offset / size * per_radius
-        matrices.append(share_matrix(n_cells, n, HALF_EXTENT, centre=centre, radius=per_radius / size, core=0.0))
+        matrices.append(share_matrix(n_cells, n, HALF_EXTENT, centre=centre, radius=per_radius / size, core=Core(0.0)))
     result = matrices[0] @ template @ matrices[1].T
     return np.asarray(result / result.sum(), np.float64)
 
 
-def _common_core(template: FloatArray, pairs: Sequence[tuple[Spot, SpotFit]], core: float) -> float:
-    """Common core (px): each spot's own, averaged by its precision."""
+def _common_core(template: FloatArray, pairs: Sequence[tuple[Spot, SpotFit]], core: Core, *, wings: bool) -> Core:
+    """Common core: what suits each spot, averaged by its precision; its wings first, where they are wanted."""
     if not pairs:
         return core
-    found = [fit_core(template, spot, fit, core) for spot, fit in pairs]
-    variance = np.array([v for v, _ in found])
-    weight = 1.0 / np.array([se for _, se in found]) ** 2
-    order = np.argsort(variance)  # weighted median: a few spots with a problem of their own must not decide
+    if wings:
+        core = replace(core, wings=_common(template, pairs, core, 1))
+    return replace(core, sigma_px=float(np.sqrt(max(_common(template, pairs, core, 0), MIN_CORE_PX**2))))
+
+
+def _common(template: FloatArray, pairs: Sequence[tuple[Spot, SpotFit]], core: Core, which: int) -> float:
+    """Variance (0) or wings (1) of the core by all spots."""
+    found = [fit_core(template, spot, fit, core, wings=which == 1) for spot, fit in pairs]
+    values = np.array([core_values[which] for core_values, _ in found])
+    weight = 1.0 / np.array([errors[which] for _, errors in found]) ** 2
+    order = np.argsort(values)  # weighted median: a few spots with a problem of their own must not decide
     share = np.cumsum(weight[order]) / weight.sum()
-    median = float(np.interp(0.5, share - 0.5 * weight[order] / weight.sum(), variance[order]))
-    return float(np.sqrt(max(median, MIN_CORE_PX**2)))
+    return float(np.interp(0.5, share - 0.5 * weight[order] / weight.sum(), values[order]))

@@ -7,8 +7,9 @@ from drawn_points import DEPTHS_MM, FOCUS_MM, SCALE_PX, draw_psf
 from calibration.errors import DepthListError, FitError
 from calibration.lens_fit import aperture_radius_mm, check_aperture, check_depths, fit_lens
 from calibration.pupil_outline import circumscribed
-from calibration.render import render, render_slopes, share_matrix
-from calibration.template import Spot, fit_spots
+from calibration.render import Core, render, render_slopes, share_matrix
+from calibration.template import Spot, TemplateFit, fit_spots
+from rigs.simulated.lens import Lens, point_image
 
 DEPTHS = np.arange(600.0, 3501.0, 200.0)
 
@@ -86,28 +87,33 @@ def test_impossible_depth_lists_are_refused(depths_mm: list[float], expected: st
         check_depths(depths_mm, ordered=True)
 
 
+@pytest.mark.parametrize("dot_variance_px2", [0.0, 0.3])
 @pytest.mark.parametrize("radius", [12.0, -7.5, 0.4])
-def test_slopes_of_the_rendered_image_are_its_differences(radius: float) -> None:
+def test_slopes_of_the_rendered_image_are_its_differences(radius: float, dot_variance_px2: float) -> None:
     template = np.random.default_rng(3).random((24, 24))
-    at = np.array([radius, 20.2, 18.7, 0.25])
+    at = np.array([radius, 20.2, 18.7, 0.25, 0.1])
 
     def image(p: np.ndarray) -> np.ndarray:
-        return render(template, 1.25, (41, 39), radius=p[0], centre=(p[1], p[2]), core=float(np.sqrt(p[3])))
+        core = Core(float(np.sqrt(p[3])), float(p[4]), dot_variance_px2)
+        return render(template, 1.25, (41, 39), radius=p[0], centre=(p[1], p[2]), core=core)
 
-    plain, slopes = render_slopes(template, 1.25, (41, 39), radius=at[0], centre=(at[1], at[2]), core=0.5)
+    core = Core(0.5, 0.1, dot_variance_px2)
+    plain, slopes = render_slopes(template, 1.25, (41, 39), radius=at[0], centre=(at[1], at[2]), core=core)
     np.testing.assert_allclose(plain, image(at), atol=1e-10)
-    for k, step in enumerate(1e-5 * np.eye(4)):
+    assert len(slopes) == len(at)
+    for k, step in enumerate(1e-5 * np.eye(5)):
         difference = (image(at + step) - image(at - step)) / 2e-5
         np.testing.assert_allclose(slopes[k], difference, atol=1e-6 * np.abs(difference).max())
 
 
 def test_share_matrix_keeps_the_flux_and_matches_sampling() -> None:
-    matrix = share_matrix(41, 16, 1.25, centre=19.3, radius=-8.0, core=0.7)
+    matrix = share_matrix(71, 16, 1.25, centre=34.3, radius=-8.0, core=Core(0.7, 0.2, 0.25))
     np.testing.assert_allclose(matrix.sum(axis=0), 1.0, atol=1e-9)
     rng = np.random.default_rng(0)
     u = -1.25 + 2.5 * (5 + rng.uniform(size=400_000)) / 16  # cell 5
-    x = 19.3 - 8.0 * u + 0.7 * rng.standard_normal(u.size)
-    counted = np.histogram(x, bins=41, range=(-0.5, 40.5))[0] / u.size
+    sigma = np.where(rng.uniform(size=u.size) < 0.2, 4 * 0.7, 0.7)
+    x = 34.3 - 8.0 * u + sigma * rng.standard_normal(u.size) + 0.5 * rng.standard_normal(u.size)
+    counted = np.histogram(x, bins=71, range=(-0.5, 70.5))[0] / u.size
     np.testing.assert_allclose(matrix[:, 5], counted, atol=3e-3)
 
 
@@ -132,7 +138,7 @@ def test_radii_signs_and_chief_rays_come_from_one_aperture(core: float) -> None:
     true = SCALE_PX * (1 - FOCUS_MM / depths)
     spots = []
     for k, radius in enumerate(true):
-        image = draw_psf(float(radius), (61, 61), (30.3, 29.8), core, samples=100_000)
+        image = draw_psf(float(radius), (61, 61), (30.3, 29.8), core, samples=400_000)
         se = np.sqrt(image * 1e-6 + 1e-12)
         spots.append(Spot(image + se * np.random.default_rng(k).standard_normal(image.shape), se))
     fit = fit_spots(spots, 1.0 / depths)
@@ -141,7 +147,40 @@ def test_radii_signs_and_chief_rays_come_from_one_aperture(core: float) -> None:
     np.testing.assert_allclose(found / found[0] * true[0], true, atol=0.08)
     np.testing.assert_allclose(found, true, rtol=0.015, atol=0.06)
     np.testing.assert_allclose([(s.centre_y, s.centre_x) for s in fit.spots], [(30.3, 29.8)] * len(spots), atol=0.1)
-    assert fit.core_px == pytest.approx(max(core, 0.05), abs=0.08)
+    assert fit.core.sigma_px == pytest.approx(max(core, 0.05), abs=0.08)
+
+
+def diffracted_spots(lens: Lens, depths_mm: np.ndarray, pitch_mm: float, seed: int) -> list[Spot]:
+    rng = np.random.default_rng(seed)
+    spots = []
+    for depth_mm in depths_mm:
+        offset = tuple(rng.uniform(-0.5, 0.5, 2).tolist())
+        image = np.pad(point_image(lens, float(depth_mm), pitch_mm, offset_px=offset), 4)
+        se = 1e-3 * np.sqrt(image * image.max() + (0.02 * image.max()) ** 2)
+        spots.append(Spot(image + se * rng.standard_normal(image.shape), se))
+    return spots
+
+
+def fit_diffracted(seed: int, **lens: float) -> TemplateFit:
+    depths = np.arange(600.0, 3501.0, 100.0)
+    return fit_spots(diffracted_spots(Lens(**lens), depths, 0.0086, seed), 1.0 / depths)
+
+
+@pytest.mark.parametrize("seed", [5, 6])
+def test_light_that_diffraction_spreads_is_told_from_the_aperture(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    with_wings = fit_diffracted(seed)
+    assert with_wings.core.wings == pytest.approx(0.095, abs=0.03)
+    monkeypatch.setattr("calibration.spot_fit._MOST_WINGS", 0.0)
+    without = fit_diffracted(seed)
+    assert without.core.wings == 0.0
+    unexplained, more = (np.median([s.misfit for s in fit.spots]) for fit in (with_wings, without))
+    assert unexplained < 0.7 * more
+
+
+def test_a_gaussian_core_gets_no_wings() -> None:
+    fit = fit_diffracted(5, wavelength_um=0.0, aberration_um=2.2)
+    assert fit.core.wings < 0.01
+    assert fit.core.sigma_px == pytest.approx(2.2 / 8.6, abs=0.01)
 
 
 def test_points_all_in_focus_say_so() -> None:

@@ -60,7 +60,7 @@ def with_pupil(bank: Bank) -> Bank:
     chief = np.array([[(spot.centre_y - half, spot.centre_x - half) for spot in fit.spots]])
     radii = np.array([spot.radius_px for spot in fit.spots])  # in radii of the circle about the picture's outline
     lens = fit_lens(bank.depths_mm, radii, np.full(radii.size, 0.02), apply_zero=False)
-    manifest = {**bank.manifest, "aperture": {"core_px": [fit.core_px]}}
+    manifest = {**bank.manifest, "aperture": {"core_px": [fit.core.sigma_px], "core_wings": [fit.core.wings]}}
     return replace(bank, lens=lens, manifest=manifest, extras={"aperture": fit.template, "chief_yx": chief})
 
 
