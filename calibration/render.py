@@ -54,8 +54,8 @@ class Core:
 
     @property
     def reach_px(self) -> float:
-        """Distance beyond which less than 1e-5 of the light lies."""
-        return max(6.0 * self.parts[0][1], 4.0 * self.parts[-1][1])
+        """Distance beyond which less than 1e-4 of the light lies."""
+        return max(6.0 * self.parts[0][1], 3.5 * self.parts[-1][1])
 
     def of_dot(self, variance_px2: float) -> Core:
         """The same, widened by a dot of this variance per axis."""
