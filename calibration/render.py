@@ -44,13 +44,16 @@ class Core:
     dot_variance_px2: float = 0.0
 
     @property
+    def sigmas_px(self) -> tuple[float, float]:
+        """Standard deviations of its Gaussian and of its wings, the dot's included."""
+        dot = float(np.sqrt(self.dot_variance_px2))
+        return float(np.hypot(self.sigma_px, dot)), float(np.hypot(WINGS_WIDTH * self.sigma_px, dot))
+
+    @property
     def parts(self) -> tuple[tuple[float, float], ...]:
         """(share, standard deviation) of each of its Gaussians; one without wings."""
-        middle = float(np.hypot(self.sigma_px, np.sqrt(self.dot_variance_px2)))
-        if self.wings <= 0.0:
-            return ((1.0, middle),)
-        wide = float(np.hypot(WINGS_WIDTH * self.sigma_px, np.sqrt(self.dot_variance_px2)))
-        return ((1.0 - self.wings, middle), (self.wings, wide))
+        middle, wide = self.sigmas_px
+        return ((1.0 - self.wings, middle), (self.wings, wide)) if self.wings > 0.0 else ((1.0, middle),)
 
     @property
     def reach_px(self) -> float:
@@ -96,9 +99,7 @@ def share_slopes(
     the radius, the wings with the core.
     """
     t, edges, sign = _edge_distances(n_pixels, n_cells, half_extent, centre=centre, radius=radius)
-    middle = np.hypot(core.sigma_px, np.sqrt(core.dot_variance_px2))
-    wide = np.hypot(WINGS_WIDTH * core.sigma_px, np.sqrt(core.dot_variance_px2))
-    narrow, wings = (_integrals(t, max(float(sigma), _LEAST_CORE)) for sigma in (middle, wide))
+    narrow, wings = (_integrals(t, max(sigma, _LEAST_CORE)) for sigma in core.sigmas_px)
     integral, step = ((1.0 - core.wings) * a + core.wings * b for a, b in zip(narrow[:2], wings[:2], strict=True))
     bell = (1.0 - core.wings) * narrow[2] + core.wings * WINGS_WIDTH**2 * wings[2]
     size, width = abs(edges[0]) / half_extent, edges[1] - edges[0]
