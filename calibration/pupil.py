@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.bank import Bank
-from calibration.errors import FitError
+from calibration.errors import BankError, FitError
 from calibration.lens_fit import LensFit
 from calibration.template import HALF_EXTENT, Core, Spot, fit_spots, render
 
@@ -253,14 +253,13 @@ def pupil_of_bank(bank: Bank, field_index: int | None = None) -> PupilModel:
     index = bank.central_index if field_index is None else field_index
     psf, se = bank.psf[index], bank.psf_se[index]
     lens = _lens_of(bank, index)
-    cores = _cores_of(bank.manifest)
-    if "aperture" not in bank.extras or "chief_yx" not in bank.extras or not cores:
+    core = _core_of(bank.manifest, index) if index == bank.central_index else None
+    # off axis the lens barrel trims the pupil: its own picture
+    if core is None or "aperture" not in bank.extras or "chief_yx" not in bank.extras:
         return fit_pupil(bank.depths_mm, psf, se, lens)
     template = np.asarray(bank.extras["aperture"], np.float64)
     chief = np.asarray(bank.extras["chief_yx"][index], np.float64)
-    if index != bank.central_index:
-        return fit_pupil(bank.depths_mm, psf, se, lens)  # off axis the lens barrel trims the pupil: its own picture
-    model = _assemble(template, cores[index], bank.depths_mm, chief, lens, psf.shape[1])
+    model = _assemble(template, core, bank.depths_mm, chief, lens, psf.shape[1])
     return replace(model, residual=_residual(model, chief, psf, se))
 
 
@@ -320,14 +319,15 @@ def interpolator_of_bank(bank: Bank, field_index: int) -> PsfInterpolator:
     return replace(whole, residual=residual)
 
 
-def _cores_of(manifest: Mapping[str, Any]) -> list[Core]:
-    """The core of each field position, from a bank's manifest; none where it doesn't say."""
+def _core_of(manifest: Mapping[str, Any], index: int) -> Core | None:
+    """The core of a field position, from a bank's manifest; None where it doesn't say. Older ones know of no wings."""
     aperture = manifest.get("aperture", {})
-    sigmas = aperture.get("core_px") or []
-    return [
-        Core(float(sigma), float(wings))
-        for sigma, wings in zip(sigmas, aperture.get("core_wings") or [0.0] * len(sigmas), strict=True)
-    ]
+    if not aperture.get("core_px"):
+        return None
+    wings = float(aperture["core_wings"][index]) if aperture.get("core_wings") else 0.0
+    if not 0.0 <= wings < 1.0:
+        raise BankError(f"bank: its manifest gives {wings:g} of the light to the core's wings; calibrate again")
+    return Core(float(aperture["core_px"][index]), wings)
 
 
 def _lens_of(bank: Bank, index: int) -> LensFit:

@@ -57,7 +57,7 @@ class Core:
 
     @property
     def reach_px(self) -> float:
-        """Distance beyond which less than 1e-4 of the light lies."""
+        """Distance beyond which next to no light lies: less than 2e-4 per axis."""
         return max(6.0 * self.parts[0][1], 3.5 * self.parts[-1][1])
 
     def of_dot(self, variance_px2: float) -> Core:

@@ -31,6 +31,9 @@ FloatArray = NDArray[np.float64]
 
 COARSE_TURNS, FINE_TURNS = 2, 3
 """Turns between aperture and radii: from a guess on a coarse picture, then on the fine one."""
+FINE_ITERATIONS, LAST_ITERATIONS = 50, 100
+"""Of Richardson and Lucy's on the fine picture. With a quarter of them it is not yet as sharp as it will be: the same
+radii scatter as little, but the stage's zero comes out 0.16 mm smaller (four simulated calibrations)."""
 CORE_FROM_PX = 3.0
 """The common core is taken from spots larger than this, and smaller than 0.6 of the largest: in the smallest it can't
 be told from the radius, in the largest not from the picture's own sharpness."""
@@ -85,7 +88,7 @@ def fit_spots(spots: Sequence[Spot], inverse_depth: FloatArray, *, start: Templa
     fits, core = list(start.spots), start.core
     for turn in range(FINE_TURNS):
         last = turn == FINE_TURNS - 1
-        template, core = _turn(template, spots, fits, core, 100 if last else 50, wings=True)
+        template, core = _turn(template, spots, fits, core, LAST_ITERATIONS if last else FINE_ITERATIONS, wings=True)
         fits = [fit_spot(template, spot, fit, core) for spot, fit in zip(spots, fits, strict=True)]
     template, fits = _to_gauge(template, fits)
     return TemplateFit(template, HALF_EXTENT, core, tuple(fits))
@@ -245,6 +248,8 @@ def _common(template: FloatArray, pairs: Sequence[tuple[Spot, SpotFit]], core: C
     found = [fit_core(template, spot, fit, core, wings=which == 1) for spot, fit in pairs]
     values = np.array([core_values[which] for core_values, _ in found])
     weight = 1.0 / np.array([errors[which] for _, errors in found]) ** 2
+    if not weight.any():  # nothing tells
+        return (core.sigma_px**2, core.wings)[which]
     order = np.argsort(values)  # weighted median: a few spots with a problem of their own must not decide
     share = np.cumsum(weight[order]) / weight.sum()
     return float(np.interp(0.5, share - 0.5 * weight[order] / weight.sum(), values[order]))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -78,7 +79,9 @@ def test_what_was_learned_of_the_axis_pupil_is_not_used_off_axis() -> None:
 
 def test_the_central_set_alone_is_a_bank() -> None:
     bank = field_bank([(0.0, 0.6), (0.0, 0.0), (0.0, -0.6)], chief_yx=np.zeros((3, 3, 2)), place_yx=np.zeros((3, 3, 2)))
-    alone = central_bank(bank)
+    aperture = {"core_px": [0.3, 0.4, 0.5], "core_wings": [0.0, 0.1, 0.2], "radius_mm": 7.0}
+    alone = central_bank(replace(bank, manifest={"aperture": aperture}))
+    assert alone.manifest["aperture"] == {"core_px": [0.4], "core_wings": [0.1], "radius_mm": 7.0}
     np.testing.assert_array_equal(alone.psf, bank.psf[1:2])
     assert set(alone.extras) == {"chief_yx"}
     assert alone.extras["chief_yx"].shape == (1, 3, 2)

@@ -177,6 +177,21 @@ def test_light_that_diffraction_spreads_is_told_from_the_aperture(seed: int, mon
     assert unexplained < 0.7 * more
 
 
+def test_a_core_on_finer_pixels_is_the_same_in_their_units() -> None:
+    core, finer = Core(0.3, 0.1, 0.2), Core(0.3, 0.1, 0.2).finer(2)
+    assert (finer.sigma_px, finer.wings, finer.dot_variance_px2) == pytest.approx((0.6, 0.1, 0.8))
+    assert finer.sigmas_px == pytest.approx([2.0 * sigma for sigma in core.sigmas_px])
+    assert finer.reach_px == pytest.approx(2.0 * core.reach_px)
+
+
+@pytest.mark.parametrize("core", [Core(0.3), Core(0.3, 0.1), Core(0.3, 0.3), Core(0.3, 0.1, 0.2)])
+def test_next_to_no_light_lies_beyond_the_reach(core: Core) -> None:
+    pixels, cells = 201, 51  # a pixel each tenth of one, about a point's cell
+    blurred = share_matrix(pixels, cells, 1.0, centre=100.0, radius=1.0, core=core.finer(10))[:, cells // 2]
+    beyond = np.abs(np.arange(pixels) - 100) > 10.0 * core.reach_px
+    assert blurred[beyond].sum() < 2e-4
+
+
 def test_a_gaussian_core_gets_no_wings() -> None:
     fit = fit_diffracted(5, wavelength_um=0.0, aberration_um=2.2)
     assert fit.core.wings < 0.01

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from calibration.bank import Bank
+from calibration.errors import BankError
 from calibration.pupil import (
     BetweenPlanes,
     PsfInterpolator,
@@ -18,6 +19,7 @@ from calibration.pupil import (
     psf_model,
     pupil_of_bank,
 )
+from calibration.render import Core
 from tests.unit.depth_evidence.synthetic import draw_psf, make_bank, with_pupil
 
 
@@ -83,6 +85,22 @@ def test_a_stage_that_sways_is_no_error_of_the_psf(bank: Bank) -> None:
     np.testing.assert_allclose(blends[0].residual, blends[1].residual, rtol=0.1, atol=2e-3)
     lost = [misfit(blend.psf_about((0.0, 0.0), 900.0), draw_psf(900.0)) for blend in blends]
     assert lost[0] == pytest.approx(lost[1], rel=0.02)
+
+
+@pytest.mark.parametrize(
+    ("aperture", "core"),
+    [({"core_px": [0.3], "core_wings": [0.1]}, Core(0.3, 0.1)), ({"core_px": [0.3]}, Core(0.3))],
+)
+def test_the_core_that_a_bank_names_is_taken(bank: Bank, aperture: dict[str, list[float]], core: Core) -> None:
+    named = with_pupil(bank)
+    assert pupil_of_bank(replace(named, manifest={**named.manifest, "aperture": aperture})).core == core
+
+
+@pytest.mark.parametrize("wings", [-0.1, 1.7])
+def test_wings_of_more_or_less_than_the_light_are_refused(bank: Bank, wings: float) -> None:
+    aperture = {"core_px": [0.3], "core_wings": [wings]}
+    with pytest.raises(BankError, match=f"gives {wings:g} of the light .* calibrate again"):
+        pupil_of_bank(replace(with_pupil(bank), manifest={"aperture": aperture}))
 
 
 def test_where_psfs_between_the_planes_come_from_is_told(bank: Bank) -> None:
