@@ -20,10 +20,11 @@ MODEL_ERROR = 0.02
 """Error of the common aperture's picture, as a fraction of a spot's plateau."""
 MIN_CORE_PX = 0.05
 _MOST_WINGS = 0.3
+"""Share of the light beyond which wings would be the core."""
 
 _WINDOW_MARGIN_PX = 8.0
 _SMALL_STEP_PX = 2e-4
-"""Steps smaller than this (px, px^2 for the core's variance) end the iteration."""
+"""Steps smaller than this (px, px^2 for the core's variance, a share for its wings) end the iteration."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,21 +95,15 @@ def fit_either_sign(template: FloatArray, spot: Spot, start: SpotFit, core: Core
     return second if second.chi2 < first.chi2 else first
 
 
-def fit_core(
-    template: FloatArray, spot: Spot, start: SpotFit, core: Core, *, wings: bool
-) -> tuple[FloatArray, FloatArray]:
-    """The core that suits one spot, fitted together with radius and place.
+def fit_core(template: FloatArray, spot: Spot, start: SpotFit, core: Core, *, wings: bool) -> tuple[float, float]:
+    """What suits one spot best as the core's wings, or as its variance (px^2), and the standard error of that.
 
-    Held at the radii of the last turn instead, it would take many turns to move, since a wider core and a smaller
-    radius look alike.
-
-    Returns
-    -------
-    values, errors
-        float64 (2,): variance (px^2) and share of the wings, which stays that of ``core`` unless ``wings`` are fitted,
-        too; their standard errors.
+    Radius and place are fitted with it; the variance with the wings, too, while the wings stay what they are if the
+    variance is asked for. Held at the radii of the last turn instead, a core would take many turns to move, since a
+    wider one and a smaller radius look alike.
     """
-    return _fit(template, spot, start, core, window_of(spot, start), of_core=2 if wings else 1)[1]
+    values, errors = _fit(template, spot, start, core, window_of(spot, start), of_core=2 if wings else 1)[1]
+    return float(values[int(wings)]), float(errors[int(wings)])
 
 
 def _fit(
@@ -130,7 +125,7 @@ def _fit(
     weighted = values * weight
 
     def core_of(p: FloatArray) -> Core:
-        return Core(float(np.sqrt(p[3])), float(p[4]), whole.extra_variance_px2)
+        return Core(float(np.sqrt(p[3])), float(p[4])).of_dot(whole.extra_variance_px2)
 
     def profile(model: FloatArray) -> tuple[float, float]:
         scaled = model * weight

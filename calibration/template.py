@@ -239,17 +239,16 @@ def _common_core(template: FloatArray, pairs: Sequence[tuple[Spot, SpotFit]], co
     if not pairs:
         return core
     if wings:
-        core = replace(core, wings=_common(template, pairs, core, 1))
-    return replace(core, sigma_px=float(np.sqrt(max(_common(template, pairs, core, 0), MIN_CORE_PX**2))))
+        core = replace(core, wings=_common(template, pairs, core, wings=True))
+    return replace(core, sigma_px=float(np.sqrt(max(_common(template, pairs, core, wings=False), MIN_CORE_PX**2))))
 
 
-def _common(template: FloatArray, pairs: Sequence[tuple[Spot, SpotFit]], core: Core, which: int) -> float:
-    """Variance (0) or wings (1) of the core by all spots."""
-    found = [fit_core(template, spot, fit, core, wings=which == 1) for spot, fit in pairs]
-    values = np.array([core_values[which] for core_values, _ in found])
-    weight = 1.0 / np.array([errors[which] for _, errors in found]) ** 2
+def _common(template: FloatArray, pairs: Sequence[tuple[Spot, SpotFit]], core: Core, *, wings: bool) -> float:
+    """The core's wings by all spots, or its variance."""
+    values, errors = np.array([fit_core(template, spot, fit, core, wings=wings) for spot, fit in pairs]).T
+    weight = 1.0 / errors**2
     if not weight.any():  # nothing tells
-        return (core.sigma_px**2, core.wings)[which]
+        return core.wings if wings else core.sigma_px**2
     order = np.argsort(values)  # weighted median: a few spots with a problem of their own must not decide
     share = np.cumsum(weight[order]) / weight.sum()
     return float(np.interp(0.5, share - 0.5 * weight[order] / weight.sum(), values[order]))
