@@ -73,11 +73,11 @@ def ridge_directions(log_power: FloatArray, known: Sequence[float], threshold: T
     return tuple(found)
 
 
-def with_perpendiculars(directions: Sequence[float]) -> tuple[float, ...]:
-    """Directions (rad) and those at right angles to them, as stripes and joints mostly cross; no more than ridges may
-    be."""
+def with_perpendiculars(directions: Sequence[float], first: int | None = None) -> tuple[float, ...]:
+    """Directions (rad) and those at right angles to the first so many of them (all by default), as stripes and joints
+    mostly cross; no more than ridges may be."""
     result = list(directions)
-    for direction in directions:
+    for direction in directions[:first]:
         if _is_apart(direction + np.pi / 2, result):
             result.append(direction + np.pi / 2)
     return tuple(result[:MOST_RIDGES])

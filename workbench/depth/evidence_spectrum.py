@@ -40,9 +40,9 @@ _LESS_PER_RIDGE = 0.28
 """Each ridge takes so much off the logarithm of the log-likelihood's weight. Of 20 things that were tried it foresees
 best how far the radius is off, in standard errors by the likelihood's curvature (405 regions, seeds 77 and 78)."""
 _LINES_GAIN = 10.0
-"""Nats that ridges must gain on a blur that draws lines itself. Of 32 regions that such a blur fits (of 942 by the
-simulated rig) 28 gain up to 7; of the other four two gross ones are mended, one goes 2 cm farther off. Traced plaids
-that read wrong gain 47 and 55."""
+"""Nats that ridges must gain on a blur that draws lines itself, and ridges at right angles to those that were found.
+Of 32 regions that such a blur fits (of 942 by the simulated rig) 28 gain up to 7; of the other four two gross ones are
+mended, one goes 2 cm farther off. Traced plaids that read wrong gain 47 and 55."""
 _RIDGE_ROUNDS = 2
 """How often lines are sought in what is left unexplained."""
 _ABOVE_NOISE = 1.5
@@ -296,12 +296,14 @@ def fit_spectra(
         if not more:
             break
         fit, texture = scan((*fit.ridges, *more))
-    row = int(fit.log_likelihood.argmax())
+    row, tried = int(fit.log_likelihood.argmax()), with_perpendiculars(fit.ridges, first=1)
     if unresolved is not None and unresolved[row] and not fit.ridges:
         level, drawn = np.zeros((2, *power.shape))
         level[used], drawn[used] = log_power, log_expected[row]
         lines = ridge_directions(level, (), VISIBLE) or ridge_directions(drawn, (), VISIBLE)[:1]
-        lined = scan(with_perpendiculars(lines))[0] if lines else fit
+        tried = with_perpendiculars(lines)
+    if len(tried) > len(fit.ridges):
+        lined = scan(tried)[0]
         if lined.log_likelihood.max() > fit.log_likelihood[row] + _LINES_GAIN:
             return lined
     return fit

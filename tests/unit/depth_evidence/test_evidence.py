@@ -217,8 +217,8 @@ def test_few_spectral_lines_tell_no_small_blur_from_another(
     else:
         assert found.reason
         assert found.depth_mm == sure.depth_mm
-        assert found.interval_mm[0] == pytest.approx(model.depth_mm(-4.0))
-        assert found.interval_mm[1] == pytest.approx(model.depth_mm(4.0))
+        assert found.interval_mm[0] == pytest.approx(model.depth_within_mm(-7.5))
+        assert found.interval_mm[1] == pytest.approx(model.depth_within_mm(7.5))
 
 
 def test_side_of_a_single_edge_next_to_focus_stays_open(bank: Bank) -> None:

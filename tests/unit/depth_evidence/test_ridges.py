@@ -11,9 +11,12 @@ from calibration.bank import Bank
 from tests.unit.depth_evidence.synthetic import leaves, make_bank, photograph, with_pupil
 from workbench.depth import evidence_spectrum
 from workbench.depth.evidence import EvidenceOptions, estimate_evidence, prepare
+from workbench.depth.evidence_expected import smeared_power
 from workbench.depth.evidence_observation import observe
+from workbench.depth.evidence_periodogram import pooled_periodogram
 from workbench.depth.evidence_ridges import MOST_RIDGES, UNEXPLAINED, VISIBLE, ridge_directions, with_perpendiculars
-from workbench.depth.evidence_spectrum import frequencies
+from workbench.depth.evidence_spectrum import EXPECTED_SLOPE, SUPERPIXELS, basis, fit_spectra, frequencies
+from workbench.depth.evidence_windows import Window, hann
 from workbench.depth.regions import whole
 
 SIZE = 128
@@ -119,7 +122,31 @@ def test_flat_letters_are_no_mixture_of_blurs(bank: Bank, seed: int) -> None:
 def test_perpendiculars_join_where_they_are_new() -> None:
     assert degrees(with_perpendiculars(np.radians([30.0, 118.0]).tolist())) == pytest.approx([30.0, 118.0])
     assert degrees(with_perpendiculars((0.1,))) == pytest.approx(np.degrees([0.1, 0.1 + np.pi / 2]).tolist())
+    assert degrees(with_perpendiculars(np.radians([30.0, 60.0]).tolist(), first=1)) == pytest.approx(
+        [30.0, 60.0, 120.0]
+    )
     assert len(with_perpendiculars(np.radians(np.arange(0.0, 80.0, 15.0)).tolist())) == MOST_RIDGES
+
+
+@pytest.mark.parametrize(("across", "is_kept"), [(0.5, True), (0.2, False)])
+def test_the_highest_ridge_s_perpendicular_is_one_where_it_explains_much(
+    bank: Bank, across: float, is_kept: bool
+) -> None:
+    """Lines too low to be seen beside the others: rows of letters whose strokes mostly run one way."""
+    model = prepare(bank, EvidenceOptions())
+    window = Window(0, 0, np.outer(hann(SIZE), hann(SIZE)).astype(np.float32), 1.0)
+    pooled = pooled_periodogram(np.zeros((SIZE, SIZE), np.float32), [window], model.kernel_lags.shape[1] // 2)
+    expected = smeared_power(model.kernel_lags, pooled.taper_lags, SIZE)
+    modulus, direction, _ = frequencies(SIZE)
+    terms = basis(modulus.ravel(), direction.ravel(), (np.pi / 2, 0.0))
+    coefficients = np.zeros(terms.shape[1])
+    coefficients[: SUPERPIXELS.log_knots.size] = EXPECTED_SLOPE * SUPERPIXELS.log_knots - 8.0
+    coefficients[-2:] = 0.8, across
+    power = np.exp(terms @ coefficients).reshape(modulus.shape) * expected[20] + 1e-7
+    power *= np.random.default_rng(1).gamma(6.0, 1.0 / 6.0, power.shape)
+    ridges = fit_spectra(power, 6.0, expected, independent_share=0.3).ridges
+    assert any(abs(np.cos(ridge)) < 0.05 for ridge in ridges)
+    assert any(abs(np.sin(ridge)) < 0.05 for ridge in ridges) == is_kept
 
 
 @pytest.fixture(scope="module")
