@@ -50,11 +50,13 @@ def uneven(estimate: DepthEstimate, parts: Sequence[Reading]) -> DepthEstimate:
     parts
         What pieces of it read, as far as they say anything.
     """
-    told = sorted(part.depth_mm / 10 for part in parts)
+    told = [f"{depth_mm / 10:.0f}" for depth_mm in sorted(part.depth_mm for part in parts)]
     low, high = zip(estimate.interval_mm, *(part.interval_mm for part in parts), strict=True)
     reason = "its blur is not the same all over: a slanted surface, or several depths"
     if told:
-        reason += f" (its parts read {', '.join(f'{depth_cm:.0f}' for depth_cm in told)} cm)"
+        alike = len(told) > 1 and len(set(told)) == 1
+        read = f"each of its parts reads {told[0]}" if alike else f"its parts read {', '.join(told)}"
+        reason += f" ({read} cm)"
     return doubted(replace(estimate, interval_mm=(min(low), max(high))), reason)
 
 

@@ -140,6 +140,14 @@ def test_a_part_without_texture_reads_nothing(bank: Bank) -> None:
     assert parts_read(found) == pytest.approx([105, 210, 210], rel=0.06)
 
 
+def test_parts_that_read_the_same_are_named_once(bank: Bank) -> None:
+    image = photograph(leaves(SIDE, 2), 2000.0)
+    estimate = estimate_evidence(image, bank, whole(image.shape))[1]
+    read = [Reading(depth_mm, (1500.0, 2500.0)) for depth_mm in (1612.0, 1608.0, 1611.0)]
+    assert "(each of its parts reads 161 cm)" in uneven(estimate, read).reason
+    assert "(its parts read 161 cm)" in uneven(estimate, read[:1]).reason
+
+
 def test_a_part_whose_side_is_open_holds_both(bank: Bank) -> None:
     """Gaussian noise has no side."""
     generator = np.random.default_rng(5)
