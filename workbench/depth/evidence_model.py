@@ -17,7 +17,7 @@ from workbench.depth.options import require
 FloatArray = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-LEARNED = "evidence_learned_5"
+LEARNED = "evidence_learned_6"
 """Name of :class:`Learned` among a bank's extras."""
 NATIVE_FINER = 2
 """Photosites a superpixel is wide."""
