@@ -20,7 +20,7 @@ Mask = NDArray[np.bool_]
 
 _FINER, _BETWEEN = 16, 8
 """The posterior's grid is finer than the likelihood's by this factor; its interval ends at such parts of a step."""
-_SOFTNESS_PX, _SOFTNESS_RANGE_PX = {1: 0.10, NATIVE_FINER: 0.07}, {1: 2.7, NATIVE_FINER: 1.8}
+_SOFTNESS_PX = {1: (0.10, 2.7), NATIVE_FINER: (0.07, 1.8)}
 """Close to focus a small blur and a texture that is itself a little soft or crisp look alike: standard error of the
 radius at focus, and the one over which it falls to 1/e (as a Gaussian), by how fine the pixels are. Fitted to textures
 rendered by the simulated rig, looked at on ray-traced ones."""
@@ -220,7 +220,8 @@ def least_error_px(
     outlines_found
         Whether the region's outline was found in the photograph.
     """
-    soft = _SOFTNESS_PX[finer] * float(np.exp(-((sigma_px / _SOFTNESS_RANGE_PX[finer]) ** 2)))
+    at_focus, reach = _SOFTNESS_PX[finer]
+    soft = at_focus * float(np.exp(-((sigma_px / reach) ** 2)))
     lens = float(np.interp(sigma_px, model.sigma_px, model.sigma_se_px))
     lines = _LINES_PX * max(0.0, line_share - _LINES_FROM)
     beyond = float(np.sqrt(max(model.psf_error**2 - _FITS**2, 0.0)))

@@ -26,7 +26,7 @@ SIDE = 128 + 40
 
 def parts_read(found: DepthEstimate) -> list[int]:
     """Depths (cm) that the reason names."""
-    named = re.search(r"its parts reads? ([0-9, ]+) cm", found.reason)
+    named = re.search(r"its parts read ([0-9, ]+) cm", found.reason)
     assert named is not None, found.reason
     return [int(depth) for depth in named.group(1).split(", ")]
 
